@@ -1,0 +1,79 @@
+"""What the scripts share: a config from defaults, a TOML file and flags, and errors that end in one line."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tomllib
+from collections.abc import Callable
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import tyro
+
+from ptt.environment import Environment
+from ptt.scene import Scene
+
+Config = TypeVar("Config")
+
+
+def configure(cls: type[Config], doc: str) -> Config:
+    """Defaults of the dataclass, overridden by the TOML file after --config, overridden by flags; printed.
+
+    Raises:
+        ValueError: the TOML file is missing, unreadable, or has keys that the dataclass has not.
+    """
+    arguments = sys.argv[1:]
+    defaults = cls()
+    if "--config" in arguments:
+        at = arguments.index("--config")
+        defaults = cls(**_read(arguments[at + 1 : at + 2], cls))
+        del arguments[at : at + 2]
+    config = tyro.cli(cls, default=defaults, args=arguments, description=doc + "\n--config FILE.toml overrides the defaults; flags override both.")
+    print(json.dumps(asdict(config), default=str, indent=2))
+    return config
+
+
+def load_scene(name: str) -> Scene:
+    """The scene in a file, or the one made in code for "default"."""
+    return Scene.default() if name == "default" else Scene.load(name)
+
+
+def load_light(name: str, scene: Scene) -> Environment:
+    """The map in a file; "scene" is the scene's own, "sky" and "constant" are made in code.
+
+    Raises:
+        ValueError: the scene has no environment, or the file cannot be read.
+    """
+    if name == "scene" and scene.environment is None:
+        raise ValueError("--environment must be a map (.exr .hdr), sky or constant: the scene has none of its own")
+    made = {"scene": lambda: scene.environment, "sky": Environment.sun_sky, "constant": Environment.constant}
+    return made[name]() if name in made else Environment.load(name)
+
+
+def save_config(config: Any, path: Path) -> None:
+    """Write a config dataclass as JSON beside the result it belongs to."""
+    path.write_text(json.dumps(asdict(config), default=str, indent=2) + "\n")
+
+
+def run(main: Callable[[], None]) -> None:
+    """Call main; a ValueError or ImportError ends the program with its message alone and exit status 2."""
+    try:
+        main()
+    except (ValueError, ImportError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+def _read(name: list[str], cls: type) -> dict[str, Any]:
+    if not name or not Path(name[0]).is_file():
+        raise ValueError(f"--config needs an existing TOML file, got {name[0] if name else 'nothing'}")
+    try:
+        table = tomllib.loads(Path(name[0]).read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{name[0]} is not TOML: {error}") from error
+    valid = {field.name: field.type for field in fields(cls)}
+    if unknown := sorted(set(table) - set(valid)):
+        raise ValueError(f"{name[0]}: unknown {', '.join(unknown)}; valid are {', '.join(valid)}")
+    return {key: Path(value) if "Path" in str(valid[key]) else value for key, value in table.items()}

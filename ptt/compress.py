@@ -1,0 +1,78 @@
+"""Raw transfer -> compressed model: factors of the BRDF space times visibility, in the Haar basis, truncated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from ptt.models.tensor_brdf import TensorBRDF
+from ptt.models.transfer_model import TransferModel
+from ptt.ops import haar, transfer
+from ptt.ops.sphere import Cube
+from ptt.precompute import RawTransfer
+from ptt.spaces import Space, space_for
+
+BLOCK_BYTES = 10e6  # of T0 at once: what stays in the cache is transformed three times as fast
+RANKS = (4, 24, 24)  # BRDF, outgoing and incident factors
+
+
+def compress(
+    raw: RawTransfer,
+    coefficients: int | None = 96,
+    *,
+    space: Space | None = None,
+    ranks: Sequence[int] = RANKS,
+    progress: bool = False,
+) -> TransferModel:
+    """T0 of every point and incident factor, its largest coefficients alone.
+
+    coefficients: Haar coefficients kept for each point and factor; None keeps all. 96 is the paper's: about 2.6 %
+        relative error in the picture under a natural map, 256 about 0.8 %
+    space: the BRDF space that materials can move in; default: the one that holds the scene's materials
+    ranks: BRDF, outgoing and incident factors of its tensor; storage grows with the last
+    progress: show a bar with the rate and the time left
+
+    Raises:
+        ValueError: coefficients or ranks out of range, or materials that no one space holds.
+
+    Sun et al. 2007, sections 3.3 and 4.3.
+    """
+    grid = Cube(raw.resolution)
+    keep = grid.cells if coefficients is None else coefficients
+    if not 1 <= keep <= grid.cells:
+        raise ValueError(f"coefficients must be in 1..{grid.cells}, got {keep}")
+    brdf = TensorBRDF.fit(space or space_for(list(raw.receivers.materials.values())), ranks=ranks)
+    return TransferModel(
+        raw.receivers, brdf, raw.resolution, *_truncated(raw, grid, brdf.u_i, keep, progress)
+    )
+
+
+def _truncated(
+    raw: RawTransfer, grid: Cube, factors: Tensor, keep: int, progress: bool
+) -> tuple[Tensor, Tensor, float]:
+    """Indices (i, v, k) int16 and values (i, v, k) of T0's largest coefficients, and the relative error of the rest."""
+    directions = grid.directions().reshape(-1, 3).float()
+    solid_angles = grid.solid_angles().reshape(-1).float()
+    count = 1 + len(factors)
+    index = torch.empty(
+        count, len(raw.receivers), keep, dtype=torch.int16 if grid.cells <= 1 << 15 else torch.int32
+    )
+    value = torch.empty(count, len(raw.receivers), keep)
+    block = max(1, int(BLOCK_BYTES / (4 * count * grid.cells)))
+    whole = kept_part = 0.0
+    bar = tqdm(total=len(raw.receivers), desc="transfer", unit=" points", disable=not progress)
+    for first in range(0, len(raw.receivers), block):
+        rows = slice(first, first + block)
+        visible = transfer.unpack(raw.visible[rows], grid.cells)
+        t0 = transfer.direct_transfer(visible, raw.receivers.frames[rows], directions, solid_angles, factors)
+        kept = haar.truncate(haar.analyse(t0.unflatten(2, grid.shape)).flatten(2), keep)
+        index[:, rows], value[:, rows] = kept.index.transpose(0, 1), kept.value.transpose(0, 1)
+        whole += float(t0.square().sum(dtype=torch.float64))
+        kept_part += float(kept.value.square().sum(dtype=torch.float64))
+        bar.update(len(visible))
+    bar.close()
+    return index, value, math.sqrt(max(0.0, 1 - kept_part / whole)) if whole else 0.0

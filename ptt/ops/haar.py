@@ -1,0 +1,90 @@
+"""Two-dimensional Haar wavelets on square grids (cube faces, octahedral maps) and their non-linear truncation.
+
+Orthonormal, so that `(analyse(a) * analyse(b)).sum() == (a * b).sum()`: a lighting's coefficients times a
+transfer's coefficients integrate the product of the two. Non-standard decomposition: rows and columns are halved
+together. The coefficients lie in Mallat's order: [0, 0] is the mean (times n), and the 2^j x 2^j blocks
+right of, below and diagonally below it hold the horizontal, vertical and diagonal details of level j.
+
+Example:
+    >>> x = torch.randn(6, 64, 64)
+    >>> bool(torch.allclose(synthesise(analyse(x)), x, atol=1e-5))
+    True
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+def analyse(values: Tensor) -> Tensor:
+    """Coefficients (..., n, n) of values (..., n, n); n is a power of two.
+
+    Raises:
+        ValueError: the last two axes are not equal powers of two.
+    """
+    out, n = torch.empty_like(values), _side(values)
+    while n > 1:
+        top, bottom = values[..., 0::2, :], values[..., 1::2, :]
+        s, d = top + bottom, top - bottom
+        h = n // 2
+        out[..., :h, h:n] = (s[..., 0::2] - s[..., 1::2]) / 2
+        out[..., h:n, :h] = (d[..., 0::2] + d[..., 1::2]) / 2
+        out[..., h:n, h:n] = (d[..., 0::2] - d[..., 1::2]) / 2
+        values, n = (s[..., 0::2] + s[..., 1::2]) / 2, h
+    out[..., :1, :1] = values
+    return out
+
+
+def synthesise(coefficients: Tensor) -> Tensor:
+    """Values (..., n, n) of coefficients (..., n, n): the inverse, and the transpose, of `analyse`."""
+    n = _side(coefficients)
+    values, h = coefficients[..., :1, :1], 1
+    while h < n:
+        a, b = values, coefficients[..., :h, h : 2 * h]
+        c, d = coefficients[..., h : 2 * h, :h], coefficients[..., h : 2 * h, h : 2 * h]
+        top = torch.stack((a + b + c + d, a - b + c - d), -1).flatten(-2)
+        bottom = torch.stack((a + b - c - d, a - b - c + d), -1).flatten(-2)
+        values = torch.stack((top, bottom), -2).flatten(-3, -2) / 2
+        h *= 2
+    return values
+
+
+class Truncated(NamedTuple):
+    """The k largest of l coefficients.
+
+    index (..., k) int32: positions in 0..l-1, ascending
+    value (..., k): the coefficients there
+    """
+
+    index: Tensor
+    value: Tensor
+
+    def to_dense(self, length: int) -> Tensor:
+        """(..., length), zeros elsewhere."""
+        dense = self.value.new_zeros(*self.value.shape[:-1], length)
+        return dense.scatter(-1, self.index.long(), self.value)
+
+
+def truncate(coefficients: Tensor, keep: int) -> Truncated:
+    """Non-linear approximation of coefficients (..., l): the `keep` largest magnitudes, the best in the L2 norm.
+
+    Raises:
+        ValueError: keep is not in 1..l.
+    """
+    length = coefficients.shape[-1]
+    if not 1 <= keep <= length:
+        raise ValueError(f"keep must be in 1..{length}, got {keep}")
+    if keep == length:
+        return Truncated(torch.arange(length, dtype=torch.int32).expand(coefficients.shape), coefficients)
+    index = coefficients.abs().topk(keep, dim=-1, sorted=False).indices.sort(dim=-1).values
+    return Truncated(index.int(), coefficients.gather(-1, index))
+
+
+def _side(values: Tensor) -> int:
+    rows, columns = values.shape[-2:]
+    if rows != columns or rows & (rows - 1) or rows == 0:
+        raise ValueError(f"the last two axes must be equal powers of two, got {rows} x {columns}")
+    return rows

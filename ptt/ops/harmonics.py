@@ -1,0 +1,47 @@
+"""Real spherical harmonics, orthonormal on the sphere.
+
+Order n has n^2 functions; number l (l + 1) + m for l < n, -l <= m <= l. z is the pole; m > 0 goes with cos(m phi),
+m < 0 with sin(|m| phi), without the Condon-Shortley sign: numbers 1, 2, 3 are proportional to y, z, x.
+
+- orthonormal: the integral of Y_a Y_b over the sphere is 1 if a = b, else 0
+- addition: sum over m of Y_lm(a) Y_lm(b) = (2 l + 1) / (4 pi) P_l(a . b)
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+
+def evaluate(directions: Tensor, order: int) -> Tensor:
+    """The first order^2 harmonics (..., order^2) at unit directions (..., 3), in their dtype.
+
+    By the recurrence of the associated Legendre functions, scaled by sin^m (Sloan 2013), stable to high orders.
+
+    Raises:
+        ValueError: order < 1, or the last axis is not 3.
+    """
+    if order < 1:
+        raise ValueError(f"order must be at least 1, got {order}")
+    if directions.shape[-1:] != (3,):
+        raise ValueError(f"directions must have shape (..., 3), got {tuple(directions.shape)}")
+    x, y, z = directions.unbind(-1)
+    out: list[Tensor] = [z] * (order * order)
+    cosine, sine = torch.ones_like(z), torch.zeros_like(z)  # sin^m(theta) cos(m phi), sin^m(theta) sin(m phi)
+    diagonal = 0.5 / math.sqrt(math.pi)
+    for m in range(order):
+        previous, current = torch.zeros_like(z), torch.full_like(z, diagonal)
+        for l in range(m, order):  # noqa: E741 (the field's letter)
+            if m == 0:
+                out[l * (l + 1)] = current
+            else:
+                out[l * (l + 1) + m] = math.sqrt(2) * current * cosine
+                out[l * (l + 1) - m] = math.sqrt(2) * current * sine
+            a = math.sqrt((4 * (l + 1) ** 2 - 1) / ((l + 1) ** 2 - m * m))
+            b = math.sqrt((l * l - m * m) / (4 * l * l - 1)) if l > m else 0.0
+            previous, current = current, a * (z * current - b * previous)
+        cosine, sine = x * cosine - y * sine, x * sine + y * cosine
+        diagonal *= math.sqrt((2 * m + 3) / (2 * m + 2))
+    return torch.stack(out, -1)

@@ -1,0 +1,228 @@
+"""Triangle meshes as tensors: checks, normals, tangents, subdivision, texture lookups, simple shapes.
+
+Everywhere vertices (v, 3) are positions, and faces (f, 3) vertex indices, counter-clockwise from the front.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+FLAT = 1e-10  # of a triangle's longest edge squared: twice the area below which it has no direction
+CANCELLED = 1e-6  # length below which a sum of unit vectors has no direction
+
+
+def check_mesh(vertices: Tensor, faces: Tensor) -> None:
+    """Refuse what no repair can save.
+
+    Raises:
+        ValueError: vertices are not finite (v, 3) floats, or faces not (f >= 1, 3) integers within 0..v-1.
+    """
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not vertices.is_floating_point():
+        raise ValueError(f"vertices must be (v, 3) floats, got {tuple(vertices.shape)} {vertices.dtype}")
+    if faces.numel() == 0:
+        raise ValueError(f"faces (f, 3) must hold at least one triangle, got {tuple(faces.shape)}")
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.is_floating_point() or faces.dtype == torch.bool:
+        raise ValueError(f"faces must be (f, 3) integers, got {tuple(faces.shape)} {faces.dtype}")
+    low, high = int(faces.min()), int(faces.max())
+    if low < 0:
+        raise ValueError(f"faces (f, 3) must index vertices: min index {low} < 0")
+    if high >= len(vertices):
+        raise ValueError(f"faces (f, 3) must index vertices: max index {high} >= {len(vertices)}")
+    if bad := int((~vertices.isfinite()).any(1).sum()):
+        raise ValueError(f"vertices (v, 3) must be finite float32 numbers: {bad} of {len(vertices)} are not")
+
+
+def face_crosses(vertices: Tensor, faces: Tensor) -> Tensor:
+    """Front-facing normals (f, 3) whose length is twice the triangle's area; float64."""
+    a, b, c = vertices.double()[faces].unbind(1)
+    return torch.cross(b - a, c - a, dim=1)
+
+
+def sound_faces(vertices: Tensor, faces: Tensor) -> Tensor:
+    """(f,) bool: False where a triangle has collapsed to a line or a point."""
+    corners = vertices.double()[faces]
+    longest = (corners - corners.roll(1, 1)).square().sum(-1).amax(1)
+    return torch.gt(face_crosses(vertices, faces).norm(dim=1), FLAT * longest)
+
+
+def corner_angles(vertices: Tensor, faces: Tensor) -> Tensor:
+    """The angle at each corner (f, 3) [rad], float64; a sound triangle's sum to pi."""
+    corners = vertices.double()[faces]
+    ahead, behind = corners.roll(-1, 1) - corners, corners.roll(1, 1) - corners
+    return torch.atan2(torch.cross(ahead, behind, dim=-1).norm(dim=-1), (ahead * behind).sum(-1))
+
+
+def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
+    """Unit normals (v, 3), float64: the faces' weighted by their angle at the vertex.
+
+    Zero where no face gives a direction: vertices outside every sound face, or amid faces that cancel.
+
+    Thuermer and Wuethrich 1998.
+    """
+    normals = _unit(face_crosses(vertices, faces), 0.0)
+    return _unit(_scatter(corner_angles(vertices, faces)[..., None] * normals[:, None], faces, len(vertices)))
+
+
+def fill_normals(vertices: Tensor, normals: Tensor) -> Tensor:
+    """Normals (v, 3) with each zero row replaced by that of the nearest vertex that has one.
+
+    Raises:
+        ValueError: no vertex has a normal.
+    """
+    known = (normals != 0).any(1)
+    if not known.any():
+        raise ValueError("faces (f, 3) must give a vertex a normal: every front cancels with a back")
+    if known.all():
+        return normals
+    filled, sources = normals.clone(), normals[known]
+    for rows in torch.split(torch.nonzero(~known)[:, 0], 256):
+        nearest = torch.cdist(vertices[rows].double(), vertices[known].double()).argmin(1)
+        filled[rows] = sources[nearest]
+    return filled
+
+
+def tangents(vertices: Tensor, faces: Tensor, normals: Tensor, uv: Tensor | None = None) -> Tensor:
+    """Unit tangents (v, 3), float64, orthogonal to the unit normals (v, 3).
+
+    uv (v, 2): the tangent follows increasing u where the faces around the vertex give it a direction.
+    Elsewhere it is the level one, (0, 1, 0) x normal, and +x where the normal is vertical.
+    """
+    normals = normals.double()
+    up = normals.new_tensor([0.0, 1.0, 0.0]).expand_as(normals)
+    level = _unit(torch.cross(up, normals, dim=1))
+    level = torch.where((level == 0).all(1, keepdim=True), normals.new_tensor([1.0, 0.0, 0.0]), level)
+    if uv is not None:
+        along = _unit(_across(_u_directions(vertices, faces, uv), normals))
+        level = torch.where((along == 0).all(1, keepdim=True), level, along)
+    return _unit(_across(level, normals))
+
+
+def _u_directions(vertices: Tensor, faces: Tensor, uv: Tensor) -> Tensor:
+    """(v, 3): the unit directions in which u grows on the faces, weighted by their angle at the vertex."""
+    a, b, c = vertices.double()[faces].unbind(1)
+    s, t, r = uv.double()[faces].unbind(1)
+    (du1, dv1), (du2, dv2) = (t - s).unbind(-1), (r - s).unbind(-1)
+    area = du1 * dv2 - du2 * dv1
+    direction = ((b - a) * dv2[:, None] - (c - a) * dv1[:, None]) * area.sign()[:, None]
+    angles = corner_angles(vertices, faces)[..., None]
+    return _scatter(angles * _unit(direction, 0.0)[:, None], faces, len(vertices))
+
+
+def _scatter(values: Tensor, faces: Tensor, count: int) -> Tensor:
+    """Sum the corners' values (f, 3, 3) at their vertices: (count, 3)."""
+    return values.new_zeros(count, 3).index_add_(0, faces.reshape(-1), values.reshape(-1, 3))
+
+
+def _across(vectors: Tensor, normals: Tensor) -> Tensor:
+    return vectors - (vectors * normals).sum(-1, keepdim=True) * normals
+
+
+def _unit(vectors: Tensor, shortest: float = CANCELLED) -> Tensor:
+    """Vectors of length 1; zero where they were not longer than `shortest`."""
+    length = vectors.norm(dim=-1, keepdim=True)
+    return torch.where(length > shortest, vectors / length.clamp(min=1e-300), 0.0)
+
+
+def weld(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Join vertices at the same position: vertices (w, 3), faces (f, 3), the new index of each old (v,)."""
+    joined, index = torch.unique(vertices, dim=0, return_inverse=True)
+    return joined, index[faces], index
+
+
+def subdivide(faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Cut every triangle in four at the middles of its edges.
+
+    faces (f, 3) of a mesh with `count` vertices -> faces (4 f, 3), edges (e, 2). The new vertex count + i is
+    the middle of edges[i]; faces that share an edge share its middle. Winding is kept.
+    """
+    pairs = torch.stack([faces, faces.roll(-1, 1)], -1).sort(-1).values  # shape: (f, 3, 2)
+    edges, index = torch.unique(pairs.reshape(-1, 2), dim=0, return_inverse=True)
+    ab, bc, ca = (index.reshape(-1, 3) + count).unbind(1)
+    a, b, c = faces.unbind(1)
+    corners = [a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca]
+    return torch.stack(corners, 1).reshape(-1, 3), edges
+
+
+def sample_texture(texture: Tensor, uv: Tensor) -> Tensor:
+    """Bilinear lookup (n, c) in texture (h, w, c) at uv (n, 2), repeating; differentiable in the texture.
+
+    u grows with the column, v against the row (v = 1 is the top of row 0); texel centres lie at half texels.
+    """
+    height, width = texture.shape[:2]
+    x, y = uv[:, 0].double() * width - 0.5, (1 - uv[:, 1].double()) * height - 0.5
+    column, row = x.floor(), y.floor()
+    fx, fy = (x - column).to(texture)[:, None], (y - row).to(texture)[:, None]
+    c0, r0 = column.long() % width, row.long() % height
+    c1, r1 = (c0 + 1) % width, (r0 + 1) % height
+    top = texture[r0, c0] * (1 - fx) + texture[r0, c1] * fx
+    return top * (1 - fy) + (texture[r1, c0] * (1 - fx) + texture[r1, c1] * fx) * fy
+
+
+def plane_mesh(size: float = 1.0, cells: int = 1) -> tuple[Tensor, Tensor]:
+    """A level square of `size` x `size` about the origin, facing +y: vertices ((cells + 1)^2, 3), faces."""
+    ticks = torch.linspace(-size / 2, size / 2, cells + 1, dtype=torch.float64)
+    z, x = torch.meshgrid(ticks, ticks, indexing="ij")
+    vertices = torch.stack([x, torch.zeros_like(x), z], -1).reshape(-1, 3)
+    corner = (torch.arange(cells)[:, None] * (cells + 1) + torch.arange(cells)).reshape(-1)
+    return vertices.float(), _quads(corner, corner + cells + 1, corner + cells + 2, corner + 1)
+
+
+def box_mesh(size: tuple[float, float, float] = (1.0, 1.0, 1.0), cells: int = 1) -> tuple[Tensor, Tensor]:
+    """A box about the origin, facing outwards; each side a grid of its own, so that edges are sharp."""
+    grid, faces = plane_mesh(1.0, cells)
+    x, z = grid[:, 0], grid[:, 2]
+    half = torch.full_like(x, 0.5)
+    sides = [(half, -z, -x), (-half, -z, x), (x, half, z), (x, -half, -z), (x, -z, half), (-x, -z, -half)]
+    vertices = torch.cat([torch.stack(side, -1) for side in sides]) * torch.tensor(size)
+    return vertices, torch.cat([faces + i * len(grid) for i in range(6)])
+
+
+def sphere_mesh(subdivisions: int = 3, radius: float = 1.0) -> tuple[Tensor, Tensor]:
+    """An icosphere about the origin, facing outwards: 10 x 4^subdivisions + 2 vertices on the sphere."""
+    g = (1 + math.sqrt(5)) / 2
+    ring = torch.tensor([[-1, g, 0], [1, g, 0], [-1, -g, 0], [1, -g, 0]], dtype=torch.float64)
+    vertices = _unit(torch.cat([ring, ring.roll(1, 1), ring.roll(2, 1)]))
+    cap = [[0, 11, 5], [0, 5, 1], [0, 1, 7], [0, 7, 10], [0, 10, 11]]
+    belt = [[1, 5, 9], [5, 11, 4], [11, 10, 2], [10, 7, 6], [7, 1, 8]]
+    under = [[3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9]]
+    under_belt = [[4, 9, 5], [2, 4, 11], [6, 2, 10], [8, 6, 7], [9, 8, 1]]
+    faces = torch.tensor(cap + belt + under + under_belt)
+    for _ in range(subdivisions):
+        faces, edges = subdivide(faces, len(vertices))
+        vertices = torch.cat([vertices, _unit(vertices[edges].mean(1))])
+    return (vertices * radius).float(), faces
+
+
+def torus_mesh(
+    radius: float = 1.0, tube: float = 0.4, around: int = 64, across: int = 24
+) -> tuple[Tensor, Tensor]:
+    """A torus about the y axis, facing outwards: `around` x `across` vertices."""
+    angle = torch.arange(around, dtype=torch.float64) * (2 * math.pi / around)
+    centre = torch.stack([angle.cos(), torch.zeros_like(angle), -angle.sin()], -1)
+    return tube_mesh(radius * centre, tube, across)
+
+
+def tube_mesh(path: Tensor, radius: float, across: int) -> tuple[Tensor, Tensor]:
+    """A closed tube along the loop of points path (n, 3), facing outwards: n x `across` vertices.
+
+    The rings do not twist against the vector from the path's middle, which must nowhere run along the path.
+    """
+    path = path.double()
+    ahead = _unit(path.roll(-1, 0) - path.roll(1, 0))
+    outward = _unit(_across(path - path.mean(0), ahead))
+    side = torch.cross(ahead, outward, dim=1)
+    angle = torch.arange(across, dtype=torch.float64)[:, None] * (2 * math.pi / across)
+    ring = angle.cos() * outward[:, None] + angle.sin() * side[:, None]  # shape: (n, across, 3)
+    vertices = (path[:, None] + radius * ring).reshape(-1, 3)
+    here = torch.arange(len(vertices)).reshape(len(path), across)
+    beyond = here.roll(-1, 0)
+    a, b, c, d = (q.reshape(-1) for q in (here, here.roll(-1, 1), beyond.roll(-1, 1), beyond))
+    return vertices.float(), _quads(a, b, c, d)
+
+
+def _quads(a: Tensor, b: Tensor, c: Tensor, d: Tensor) -> Tensor:
+    """Two triangles for each quadrilateral a b c d (q,): (2 q, 3)."""
+    return torch.stack([a, b, c, a, c, d], 1).reshape(-1, 3)

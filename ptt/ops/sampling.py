@@ -1,0 +1,120 @@
+"""Random directions with known densities, in the local frame (z is the normal); pure functions of uniform numbers.
+
+A `Mixture` draws from the cosine hemisphere or, with probability `share`, reflects the outgoing direction about a
+half vector drawn from a lobe. Densities are per solid angle [1/sr], over the whole sphere: a reflected direction
+may lie below the horizon, where BRDFs are zero. Laws, for every mixture and every wo above the horizon:
+
+- the density integrates to 1 over the sphere
+- directions drawn by `sample` have that density
+
+Example:
+    >>> mixture = Mixture(PowerLobe(100.0), share=0.5)
+    >>> wo = torch.tensor([[0.0, 0.6, 0.8]])
+    >>> wi = mixture.sample(torch.tensor([[0.2, 0.0, 0.0]]), wo)  # reflected about the normal itself
+    >>> [round(c, 6) for c in wi[0].tolist()]
+    [0.0, -0.6, 0.8]
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ptt.ops.brdf import half_vector
+
+NARROW = 1e-6  # least cosine that a density is divided by
+
+
+def cosine_hemisphere(u: Tensor) -> Tensor:
+    """Unit directions (n, 3) above the horizon with density cos / pi; u (n, 2) uniform in [0, 1)."""
+    return _around_z(u[:, 0], u[:, 1])
+
+
+def cosine_density(wi: Tensor) -> Tensor:
+    """(n, 3) -> (n,): cos / pi, 0 below the horizon."""
+    return wi[..., 2].clamp(min=0) / math.pi
+
+
+@dataclass(frozen=True)
+class PowerLobe:
+    """Half vectors with density (n + 1) / (2 pi) cos(th_h)^n: those of Blinn-Phong with the exponent n >= 0."""
+
+    exponent: float | Tensor
+
+    def sample(self, u: Tensor) -> Tensor:
+        """u (n, 2) uniform in [0, 1) -> unit vectors (n, 3) above the horizon."""
+        return _around_z(-torch.expm1(torch.log1p(-u[:, 0]) * (2 / (self.exponent + 1))), u[:, 1])
+
+    def density(self, h: Tensor) -> Tensor:
+        """(n, 3) -> (n,), the same for h and -h; sin^2 from x and y, because 1 - z^2 cancels for narrow lobes."""
+        log_cos2 = torch.log1p(-_sin2(h).clamp(max=1 - NARROW))
+        return torch.exp(log_cos2 * (self.exponent / 2)) * ((self.exponent + 1) / (2 * math.pi))
+
+
+@dataclass(frozen=True)
+class BeckmannLobe:
+    """Half vectors with density exp(-tan^2 th_h / m^2) / (pi m^2 cos^3 th_h): Beckmann's facets of slope m > 0.
+
+    Walter, Marschner, Li and Torrance 2007, equations 28, 29.
+    """
+
+    m: float | Tensor
+
+    def sample(self, u: Tensor) -> Tensor:
+        """u (n, 2) uniform in [0, 1) -> unit vectors (n, 3) above the horizon."""
+        tan2 = -torch.log1p(-u[:, 0]) * self.m**2
+        return _around_z(tan2 / (1 + tan2), u[:, 1])
+
+    def density(self, h: Tensor) -> Tensor:
+        """(n, 3) -> (n,), the same for h and -h."""
+        cos = h[..., 2].abs().clamp(min=NARROW)
+        return torch.exp(-_sin2(h) / (cos * self.m) ** 2) / (math.pi * self.m**2 * cos**3)
+
+
+Lobe = PowerLobe | BeckmannLobe
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """The cosine hemisphere, and with probability `share` (0..1) reflection about half vectors from `lobe`."""
+
+    lobe: Lobe | None = None
+    share: float = 0.0
+
+    def sample(self, u: Tensor, wo: Tensor) -> Tensor:
+        """Unit wi (n, 3) for wo (n, 3); u (n, 3) uniform in [0, 1): the first chooses, the others place."""
+        matt = cosine_hemisphere(u[:, 1:])
+        if self.lobe is None:
+            return matt
+        return torch.where(u[:, :1] < self.share, reflect(wo, self.lobe.sample(u[:, 1:])), matt)
+
+    def density(self, wi: Tensor, wo: Tensor) -> Tensor:
+        """Density (n,) [1/sr] of wi (n, 3) for wo (n, 3)."""
+        matt = cosine_density(wi)
+        if self.lobe is None:
+            return matt
+        return (1 - self.share) * matt + self.share * reflected_density(self.lobe, wi, wo)
+
+
+def reflect(wo: Tensor, h: Tensor) -> Tensor:
+    """The mirror image (n, 3) of wo (n, 3) about h (n, 3); the same for h and -h."""
+    return 2 * (wo * h).sum(-1, keepdim=True) * h - wo
+
+
+def reflected_density(lobe: Lobe, wi: Tensor, wo: Tensor) -> Tensor:
+    """Density (n,) of wi = reflect(wo, h) with h drawn from the lobe: that of h times 1 / (4 |wo.h|)."""
+    h = half_vector(wi, wo)
+    return lobe.density(h) / (4 * (wo * h).sum(-1).clamp(min=NARROW))
+
+
+def _around_z(sin2: Tensor, turn: Tensor) -> Tensor:
+    """Unit vectors (n, 3) above the horizon: squared sine of the angle to z, and turns (0..1) around it."""
+    sin, angle = sin2.sqrt(), turn * (2 * math.pi)
+    return torch.stack([sin * angle.cos(), sin * angle.sin(), (1 - sin2).clamp(min=0).sqrt()], -1)
+
+
+def _sin2(h: Tensor) -> Tensor:
+    return h[..., 0] ** 2 + h[..., 1] ** 2

@@ -1,0 +1,316 @@
+"""Grids: partitions of the sphere, or of the hemisphere around +z, in cells.
+
+Every grid is a rectangle (or six) of rows and columns with a chart to directions. Tables are float64.
+Laws, for every grid g:
+
+- ``g.solid_angles()`` is exact and sums to 4 pi (2 pi on the hemisphere).
+- ``g.cell(g.directions())`` is 0, 1, 2, ... (on the disk: wherever a cell has a weight).
+- ``g.refine(k)`` nests: ``g.coarsen(g.refine(k).solid_angles(), k)`` is ``g.solid_angles()``.
+
+Example:
+    >>> grid = Cube(8)
+    >>> grid.shape, float(grid.solid_angles().sum() / torch.pi)
+    ((6, 8, 8), 4.0)
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import pi, prod
+
+import torch
+from torch import Tensor
+
+_Function = Callable[[Tensor], Tensor]
+
+
+class Grid(ABC):
+    """A partition in cells, row by row; the last two axes of `shape` are rows and columns."""
+
+    @property
+    @abstractmethod
+    def shape(self) -> tuple[int, ...]:
+        """Cells along each axis, e.g. (6, n, n)."""
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return prod(self.shape)
+
+    def directions(self) -> Tensor:
+        """Centres of the cells (*shape, 3), unit, float64."""
+        return self._directions(*self._edges())
+
+    def solid_angles(self) -> Tensor:
+        """Exact solid angles (*shape) [sr], float64."""
+        return self._solid_angles(*self._edges())
+
+    @abstractmethod
+    def cell(self, directions: Tensor) -> Tensor:
+        """Flat index (...) int64 of the cell that holds each direction (..., 3); lengths do not matter.
+
+        Raises:
+            ValueError: a direction is zero or not finite.
+        """
+
+    @abstractmethod
+    def refine(self, k: int) -> Grid:
+        """The grid with each cell cut in k x k cells."""
+
+    def coarsen(self, values: Tensor, k: int) -> Tensor:
+        """Sums (*shape, ...), over the k x k parts of each cell, of values (*refine(k).shape, ...).
+
+        Raises:
+            ValueError: the leading axes of `values` are not those of `refine(k)`.
+        """
+        expected = self.refine(k).shape
+        if tuple(values.shape[: len(expected)]) != expected:
+            raise ValueError(f"values must have refine({k}).shape = {expected}, got {tuple(values.shape)}")
+        return self._block_sums(values, k)
+
+    def means(self, function: _Function, k: int, chunk: int = 1 << 20) -> Tensor:
+        """Mean over each cell (*shape, channels) of function(directions (..., 3) float32) -> (..., channels).
+
+        The midpoint rule on `refine(k)`, weighted by exact solid angles, about `chunk` directions at a time.
+        A cell without a weight (outside the disk) takes the plain mean.
+        """
+        return torch.cat(list(self._strips_of_means(function, k, chunk)), dim=len(self.shape) - 2)
+
+    def _strips_of_means(self, function: _Function, k: int, chunk: int) -> Iterator[Tensor]:
+        rows, columns = self.refine(k)._edges()
+        step = max(1, chunk * self.shape[-2] // (self.cells * k * k))
+        for first in range(0, self.shape[-2], step):
+            strip = rows[first * k : (first + step) * k + 1]
+            values = function(self._directions(strip.float(), columns.float()))
+            weights = self._solid_angles(strip, columns).to(values).clamp(min=1e-30)[..., None]
+            yield self._block_sums(values * weights, k) / self._block_sums(weights, k)
+
+    def _block_sums(self, values: Tensor, k: int) -> Tensor:
+        lead, rest = len(self.shape) - 2, values.shape[len(self.shape) :]
+        rows, columns = values.shape[lead] // k, values.shape[lead + 1] // k
+        return values.reshape(*values.shape[:lead], rows, k, columns, k, *rest).sum(dim=(lead + 1, lead + 3))
+
+    def _edges(self) -> tuple[Tensor, Tensor]:
+        """Row and column coordinates in [0, 1] of the borders between cells."""
+        rows, columns = self.shape[-2:]
+        return _fractions(rows), _fractions(columns)
+
+    @abstractmethod
+    def _directions(self, rows: Tensor, columns: Tensor) -> Tensor:
+        """Centres of the cells between the given edges, (..., len(rows) - 1, len(columns) - 1, 3)."""
+
+    @abstractmethod
+    def _solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
+        """Solid angles of the cells between the given edges."""
+
+
+@dataclass(frozen=True)
+class LatLong(Grid):
+    """Latitude-longitude grid: u = atan2(x, -z) / 2 pi (mod 1) along columns, v = acos(y) / pi along rows."""
+
+    height: int
+    width: int
+
+    def __post_init__(self) -> None:
+        _positive("height", self.height)
+        _positive("width", self.width)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.height, self.width
+
+    def refine(self, k: int) -> LatLong:
+        return LatLong(self.height * _positive("k", k), self.width * k)
+
+    def cell(self, directions: Tensor) -> Tensor:
+        x, y, z = _checked(directions).unbind(-1)
+        u = torch.atan2(x, -z) / (2 * pi)
+        v = torch.atan2(torch.hypot(x, z), y) / pi
+        column = (u % 1.0 * self.width).long() % self.width
+        return _index(v, self.height) * self.width + column
+
+    def _directions(self, rows: Tensor, columns: Tensor) -> Tensor:
+        theta, phi = _pairs(pi * _centres(rows), 2 * pi * _centres(columns))
+        return torch.stack((theta.sin() * phi.sin(), theta.cos(), -theta.sin() * phi.cos()), dim=-1)
+
+    def _solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
+        # cos a - cos b = 2 sin((a + b) / 2) sin((b - a) / 2): no cancellation at the poles
+        heights = 2 * torch.sin(pi * _centres(rows)) * torch.sin(pi / 2 * rows.diff())
+        return heights[:, None] * (2 * pi * columns.diff())
+
+
+@dataclass(frozen=True)
+class Cube(Grid):
+    """Six faces of n x n cells, +X -X +Y -Y +Z -Z, uniform in the plane of each face (OpenGL's orientation).
+
+    With s along columns and t along rows, both in [-1, 1], the faces hold the directions
+    (1, -t, -s), (-1, -t, s), (s, 1, t), (s, -1, -t), (s, -t, 1), (-s, -t, -1).
+    """
+
+    n: int
+
+    def __post_init__(self) -> None:
+        _positive("n", self.n)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        return 6, self.n, self.n
+
+    def refine(self, k: int) -> Cube:
+        return Cube(self.n * _positive("k", k))
+
+    def cell(self, directions: Tensor) -> Tensor:
+        d = _checked(directions)
+        axis = d.abs().argmax(dim=-1, keepdim=True)
+        major = d.gather(-1, axis)
+        x, y, z = (d / major.abs()).unbind(-1)
+        axis, positive = axis[..., 0], major[..., 0] > 0
+        sign = torch.where(positive, 1.0, -1.0)
+        s = torch.where(axis == 0, -sign * z, torch.where(axis == 1, x, sign * x))
+        t = torch.where(axis == 1, sign * z, -y)
+        face = 2 * axis + (~positive).long()
+        return (face * self.n + _index((t + 1) / 2, self.n)) * self.n + _index((s + 1) / 2, self.n)
+
+    def _directions(self, rows: Tensor, columns: Tensor) -> Tensor:
+        t, s = _pairs(2 * _centres(rows) - 1, 2 * _centres(columns) - 1)
+        one = torch.ones_like(s)
+        faces = (one, -t, -s), (-one, -t, s), (s, one, t), (s, -one, -t), (s, -t, one), (-s, -t, -one)
+        return _unit(torch.stack([torch.stack(face, dim=-1) for face in faces]))
+
+    def _solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
+        b, a = _pairs(2 * rows - 1, 2 * columns - 1)
+        corner = torch.atan2(a * b, (1 + a * a + b * b).sqrt())
+        return _mixed_difference(corner).expand(6, -1, -1)
+
+
+@dataclass(frozen=True)
+class Disk(Grid):
+    """Hemisphere around +z, seen along z: n x n cells on the square around the unit disk.
+
+    x runs along columns, y along rows. Inside the unit circle all cells have the same projected solid angle:
+    the cosine is in the measure. A cell that the circle cuts weighs what lies inside; its direction is its
+    centre if that lies inside, else a point of its inner part. A cell outside weighs zero; its direction is
+    the point of the horizon (z = 0) next to it.
+    """
+
+    n: int
+
+    def __post_init__(self) -> None:
+        _positive("n", self.n)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.n, self.n
+
+    def refine(self, k: int) -> Disk:
+        return Disk(self.n * _positive("k", k))
+
+    def cell(self, directions: Tensor) -> Tensor:
+        """As `Grid.cell`; a direction below the horizon falls in the cell of its mirror image above."""
+        x, y, _ = _unit(_checked(directions)).unbind(-1)
+        return _index((y + 1) / 2, self.n) * self.n + _index((x + 1) / 2, self.n)
+
+    def coordinates(self, directions: Tensor) -> Tensor:
+        """Continuous (row, column) (..., 2) of unit directions (..., 3), for bilinear lookups.
+
+        Cell (i, j) has its centre at (i, j), so they reach from -0.5 to n - 0.5. z is ignored.
+        """
+        return (directions[..., [1, 0]] + 1) * (self.n / 2) - 0.5
+
+    def projected_solid_angles(self) -> Tensor:
+        """Integral of the cosine over each cell (n, n), float64: its area in the unit circle; sums to pi."""
+        edges = 2 * _fractions(self.n) - 1
+        return _within_circle(_mixed_difference(_disk_area(*_pairs(edges, edges))), edges, edges)
+
+    def _directions(self, rows: Tensor, columns: Tensor) -> Tensor:
+        near_y, near_x = _pairs(_nearest_zero(2 * rows - 1), _nearest_zero(2 * columns - 1))
+        y, x = _pairs(2 * _centres(rows) - 1, 2 * _centres(columns) - 1)
+        step = _step_within_circle(near_x, near_y, x - near_x, y - near_y)
+        x, y = near_x + step * (x - near_x), near_y + step * (y - near_y)
+        z = (1 - x * x - y * y).clamp(min=0).sqrt()
+        return _unit(torch.stack((x, y, z), dim=-1))
+
+    def _solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
+        b, a = _pairs(2 * rows - 1, 2 * columns - 1)
+        r = (1 - a * a - b * b).clamp(min=0).sqrt()
+        # area of the sphere above the rectangle from (0, 0) to (a, b): integral of asin(b / sqrt(1 - x^2)) dx
+        corner = a * torch.atan2(b, r) + b * torch.atan2(a, r) - torch.atan2(a * b, r)
+        return _within_circle(_mixed_difference(corner), 2 * rows - 1, 2 * columns - 1)
+
+
+def _disk_area(b: Tensor, a: Tensor) -> Tensor:
+    """Signed area of the part of the rectangle from (0, 0) to (a, b) that lies in the unit disk."""
+
+    def segment(x: Tensor) -> Tensor:
+        height = (1 - x * x).clamp(min=0).sqrt()
+        return x * height + torch.atan2(x, height)
+
+    cut = (segment(a.abs()) + segment(b.abs()) - pi / 2) / 2
+    area = torch.where(a * a + b * b <= 1, (a * b).abs(), cut)
+    return area * a.sign() * b.sign()
+
+
+def _step_within_circle(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor) -> Tensor:
+    """How far to go from (x, y), the point of a cell next to the axis, towards its centre (x + dx, y + dy).
+
+    1 (the centre) where the centre is inside the circle, halfway to the circle where it is not.
+    """
+    a, b, c = dx * dx + dy * dy, x * dx + y * dy, x * x + y * y - 1
+    crossing = (-b + (b * b - a * c).clamp(min=0).sqrt()) / a
+    return torch.where(a + 2 * b + c < 0, 1.0, crossing.clamp(min=0) / 2)
+
+
+def _within_circle(weights: Tensor, y: Tensor, x: Tensor) -> Tensor:
+    """Weights of the cells between the given edges, with exact zeros outside the unit circle."""
+    outside = torch.hypot(*_pairs(_nearest_zero(y), _nearest_zero(x))) >= 1
+    return weights.clamp(min=0).masked_fill(outside, 0.0)
+
+
+def _nearest_zero(edges: Tensor) -> Tensor:
+    """The point of each interval between edges that is nearest to 0."""
+    return torch.zeros_like(edges[1:]).clamp(edges[:-1], edges[1:])
+
+
+def _mixed_difference(corner: Tensor) -> Tensor:
+    return corner.diff(dim=-1).diff(dim=-2)
+
+
+def _fractions(n: int) -> Tensor:
+    return torch.arange(n + 1, dtype=torch.float64) / n
+
+
+def _centres(edges: Tensor) -> Tensor:
+    return (edges[1:] + edges[:-1]) / 2
+
+
+def _pairs(rows: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
+    """Both coordinates at every (row, column)."""
+    y, x = torch.meshgrid(rows, columns, indexing="ij")
+    return y, x
+
+
+def _index(fraction: Tensor, n: int) -> Tensor:
+    return (fraction * n).floor().long().clamp(0, n - 1)
+
+
+def _unit(directions: Tensor) -> Tensor:
+    lengths: Tensor = torch.linalg.vector_norm(directions, dim=-1, keepdim=True)
+    return directions / lengths
+
+
+def _checked(directions: Tensor) -> Tensor:
+    d = directions.to(torch.float64)
+    if d.ndim < 1 or d.shape[-1] != 3:
+        raise ValueError(f"directions must have shape (..., 3), got {tuple(directions.shape)}")
+    bad = ~(d.isfinite().all(-1) & (d != 0).any(-1))
+    if bad.any():
+        raise ValueError(f"directions must be finite and non-zero: {int(bad.sum())} of {bad.numel()} are not")
+    return d
+
+
+def _positive(name: str, value: int) -> int:
+    if value < 1:
+        raise ValueError(f"{name} must be at least 1, got {value}")
+    return value

@@ -1,0 +1,81 @@
+"""Saved models: a safetensors file whose header holds the config as JSON. Nothing is ever unpickled."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+SCHEMA = 1
+Shapes = Mapping[str, tuple[torch.dtype, tuple[int, ...]]]
+
+
+def save(
+    path: str | PathLike[str], kind: str, config: Mapping[str, Any], tensors: Mapping[str, Tensor]
+) -> None:
+    """Write tensors, with what they are and the config that made them.
+
+    The file appears whole or not at all: it is written beside its place first.
+
+    Raises:
+        ValueError: the file cannot be written.
+    """
+    path = Path(path)
+    header = {"ptt": json.dumps({"schema": SCHEMA, "kind": kind, "config": config})}
+    ready = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    partial = path.with_name(path.name + ".part")
+    try:
+        save_file(ready, str(partial), metadata=header)
+        partial.replace(path)
+    except (OSError, SafetensorError) as error:
+        raise ValueError(f"cannot write {path}: {error}") from error
+
+
+def load(path: str | PathLike[str], kind: str) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """The config and the tensors of a saved file.
+
+    Raises:
+        ValueError: missing, cut short, not safetensors, of another kind or schema; the message names the file.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"no file {path}")
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            header = json.loads((file.metadata() or {}).get("ptt", "{}"))
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+    except (SafetensorError, OSError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path} is not a whole safetensors file: {error}") from error
+    if header.get("kind") != kind:
+        raise ValueError(
+            f"{path} must hold a {kind}, got {header.get('kind', 'a file that ptt did not write')}"
+        )
+    if header.get("schema") != SCHEMA:
+        raise ValueError(f"{path} has schema {header.get('schema')}, this version of ptt reads {SCHEMA}")
+    return header["config"], tensors
+
+
+def check(path: str | PathLike[str], tensors: Mapping[str, Tensor], expected: Shapes) -> None:
+    """Refuse tensors that are not exactly the expected ones, of the expected types and shapes, and finite.
+
+    Raises:
+        ValueError: naming the file, the tensor, and what is wrong with it.
+    """
+    if missing := sorted(set(expected) - set(tensors)):
+        raise ValueError(f"{path} lacks the tensor {', '.join(missing)}")
+    if extra := sorted(set(tensors) - set(expected)):
+        raise ValueError(f"{path} holds unknown tensors: {', '.join(extra)}")
+    for name, (dtype, shape) in expected.items():
+        tensor = tensors[name]
+        if tensor.dtype != dtype or tuple(tensor.shape) != shape:
+            got = f"{tensor.dtype} {tuple(tensor.shape)}"
+            raise ValueError(f"{path}: {name} must be {dtype} {shape}, got {got}")
+        if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
+            raise ValueError(f"{path}: {name} holds values that are not finite")

@@ -1,0 +1,44 @@
+"""Fixtures shared by the tests."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+import torch
+
+import ptt
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """The folder of real meshes and maps that PTT_DATA names; without it the test is skipped."""
+    folder = os.environ.get("PTT_DATA")
+    if not folder:
+        pytest.skip("needs real meshes and maps: set PTT_DATA to their folder")
+    return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def small_scene() -> ptt.Scene:
+    """A ball over a floor: 367 vertices, two regions, the floor fixed."""
+    from ptt.meshes import Part
+    from ptt.ops import mesh
+
+    ball, faces = mesh.sphere_mesh(2, 0.5)
+    parts = [
+        Part("floor", *mesh.plane_mesh(4.0, 13), material=ptt.lambert(0.6), editable=False),
+        Part("ball", ball + torch.tensor([0.0, 0.6, 0.0]), faces, material=ptt.blinn_phong(0.3, 0.4, 12.0)),
+    ]
+    return ptt.Scene.from_parts(parts, camera=ptt.Camera((1.5, 2.0, 3.0), (0.0, 0.4, 0.0), width=48, height=36))
+
+
+@pytest.fixture(scope="session")
+def small_raw(small_scene: ptt.Scene) -> ptt.RawTransfer:
+    return ptt.precompute(small_scene, resolution=16)
+
+
+@pytest.fixture(scope="session")
+def small_model(small_raw: ptt.RawTransfer) -> ptt.TransferModel:
+    return ptt.compress(small_raw, coefficients=64, ranks=(3, 10, 10))
