@@ -29,8 +29,6 @@ from ptt.scene import Scene
 
 ROUNDING = 1e-5  # of the radiance: what float32 costs, where both standard errors vanish
 
-mi.set_variant("scalar_rgb")
-
 
 def matt(scene: Scene) -> dict[str, Material]:
     """The scene's materials without their specular part."""
@@ -45,6 +43,7 @@ def mitsuba_scene(scene: Scene, environment: Environment) -> Any:
     """
     if any(region.texture is not None for region in scene.regions):
         raise ValueError("scene must have no textures: Mitsuba is given the vertices' base colours")
+    mi.set_variant("scalar_rgb")
     diffuse = torch.stack([scene.materials[region.name].diffuse for region in scene.regions])
     albedo = diffuse[scene.vertex_region] * scene.colours
     properties = mi.Properties()
@@ -62,8 +61,10 @@ def mitsuba_scene(scene: Scene, environment: Environment) -> Any:
 
 def mitsuba_light(environment: Environment) -> dict[str, Any]:
     """The same function on the sphere as an `envmap`."""
+    mi.set_variant("scalar_rgb")
     height, width = environment.map.shape[0] * 2 + 1, environment.map.shape[1]
     theta = torch.arange(height, dtype=torch.float64)[:, None] * (math.pi / (height - 1))
+    theta = theta.clamp(1e-6, math.pi - 1e-6)  # at the poles themselves a direction has no column
     phi = (torch.arange(width, dtype=torch.float64) + 0.5) * (2 * math.pi / width)
     y = theta.cos().expand(-1, width)
     directions = torch.stack([theta.sin() * phi.sin(), y, -theta.sin() * phi.cos()], -1)

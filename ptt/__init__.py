@@ -1,16 +1,16 @@
 """Precomputed-transfer relighting on torch.
 
-    scene = ptt.Scene.load("watch.toml")
-    model = ptt.compress(ptt.precompute(scene))
-    relighter = ptt.TransferRelighter(model)
-    radiance = relighter(ptt.Environment.load("uffizi.hdr"), scene.materials, scene.camera)
-    ptt.render(scene, scene.camera, radiance).save("watch.png")
+scene = ptt.Scene.load("watch.toml")
+model = ptt.compress(ptt.precompute(scene))
+relighter = ptt.TransferRelighter(model)
+radiance = relighter(ptt.Environment.load("uffizi.hdr"), scene.materials, scene.camera)
+ptt.render(scene, scene.camera, radiance).save("watch.png")
 """
 
 from ptt import reference
 from ptt.compress import compress
 from ptt.environment import Environment
-from ptt.materials import BlinnPhong, CookTorrance, Material, blinn_phong, cook_torrance, lambert
+from ptt.materials import BlinnPhong, BlinnPhongSpace, CookTorrance, Material, blinn_phong, cook_torrance, lambert
 from ptt.metrics import relative_rmse
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.models.transfer_model import TransferModel
@@ -18,15 +18,12 @@ from ptt.models.transfer_relighter import TransferRelighter
 from ptt.precompute import RawTransfer, precompute
 from ptt.render import Image, render
 from ptt.scene import Camera, Region, Scene
-from ptt.spaces import SPACES, BlinnPhongSpace, CookTorranceSpace
 
 __all__ = [
-    "SPACES",
     "BlinnPhong",
     "BlinnPhongSpace",
     "Camera",
     "CookTorrance",
-    "CookTorranceSpace",
     "Environment",
     "Image",
     "Material",

@@ -8,14 +8,17 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import tyro
 
 from ptt.environment import Environment
 from ptt.scene import Scene
 
-Config = TypeVar("Config")
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Config = TypeVar("Config", bound="DataclassInstance")
 
 
 def configure(cls: type[Config], doc: str) -> Config:
@@ -30,7 +33,13 @@ def configure(cls: type[Config], doc: str) -> Config:
         at = arguments.index("--config")
         defaults = cls(**_read(arguments[at + 1 : at + 2], cls))
         del arguments[at : at + 2]
-    config = tyro.cli(cls, default=defaults, args=arguments, description=doc + "\n--config FILE.toml overrides the defaults; flags override both.")
+    doc += "\n--config FILE.toml overrides the defaults; flags override both."
+    config = tyro.cli(
+        cls,
+        default=defaults,
+        args=arguments,
+        description=doc,
+    )
     print(json.dumps(asdict(config), default=str, indent=2))
     return config
 
@@ -46,10 +55,15 @@ def load_light(name: str, scene: Scene) -> Environment:
     Raises:
         ValueError: the scene has no environment, or the file cannot be read.
     """
-    if name == "scene" and scene.environment is None:
+    made: dict[str, Callable[[], Environment | None]] = {
+        "scene": lambda: scene.environment,
+        "sky": Environment.sun_sky,
+        "constant": Environment.constant,
+    }
+    light = made[name]() if name in made else Environment.load(name)
+    if light is None:
         raise ValueError("--environment must be a map (.exr .hdr), sky or constant: the scene has none of its own")
-    made = {"scene": lambda: scene.environment, "sky": Environment.sun_sky, "constant": Environment.constant}
-    return made[name]() if name in made else Environment.load(name)
+    return light
 
 
 def save_config(config: Any, path: Path) -> None:

@@ -9,14 +9,15 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from ptt.materials import BlinnPhongSpace
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import haar, transfer
 from ptt.ops.sphere import Cube
 from ptt.precompute import RawTransfer
-from ptt.spaces import Space, space_for
 
 BLOCK_BYTES = 10e6  # of T0 at once: what stays in the cache is transformed three times as fast
+SPACE = BlinnPhongSpace()
 RANKS = (4, 24, 24)  # BRDF, outgoing and incident factors
 
 
@@ -24,7 +25,7 @@ def compress(
     raw: RawTransfer,
     coefficients: int | None = 96,
     *,
-    space: Space | None = None,
+    space: BlinnPhongSpace = SPACE,
     ranks: Sequence[int] = RANKS,
     progress: bool = False,
 ) -> TransferModel:
@@ -32,23 +33,21 @@ def compress(
 
     coefficients: Haar coefficients kept for each point and factor; None keeps all. 96 is the paper's: about 2.6 %
         relative error in the picture under a natural map, 256 about 0.8 %
-    space: the BRDF space that materials can move in; default: the one that holds the scene's materials
+    space: the shapes that materials can move in
     ranks: BRDF, outgoing and incident factors of its tensor; storage grows with the last
     progress: show a bar with the rate and the time left
 
     Raises:
-        ValueError: coefficients or ranks out of range, or materials that no one space holds.
+        ValueError: coefficients or ranks out of range.
 
     Sun et al. 2007, sections 3.3 and 4.3.
     """
     grid = Cube(raw.resolution)
     keep = grid.cells if coefficients is None else coefficients
-    if not 1 <= keep <= grid.cells:
-        raise ValueError(f"coefficients must be in 1..{grid.cells}, got {keep}")
-    brdf = TensorBRDF.fit(space or space_for(list(raw.receivers.materials.values())), ranks=ranks)
-    return TransferModel(
-        raw.receivers, brdf, raw.resolution, *_truncated(raw, grid, brdf.u_i, keep, progress)
-    )
+    if not 6 <= keep <= grid.cells:
+        raise ValueError(f"coefficients must be in 6..{grid.cells}, got {keep}")
+    brdf = TensorBRDF.fit(space, ranks=ranks)
+    return TransferModel(raw.receivers, brdf, raw.resolution, *_truncated(raw, grid, brdf.u_i, keep, progress))
 
 
 def _truncated(
@@ -58,9 +57,8 @@ def _truncated(
     directions = grid.directions().reshape(-1, 3).float()
     solid_angles = grid.solid_angles().reshape(-1).float()
     count = 1 + len(factors)
-    index = torch.empty(
-        count, len(raw.receivers), keep, dtype=torch.int16 if grid.cells <= 1 << 15 else torch.int32
-    )
+    means = torch.arange(6) * grid.n**2  # of the faces, so that constant light stays exact
+    index = torch.empty(count, len(raw.receivers), keep, dtype=torch.int16 if grid.cells <= 1 << 15 else torch.int32)
     value = torch.empty(count, len(raw.receivers), keep)
     block = max(1, int(BLOCK_BYTES / (4 * count * grid.cells)))
     whole = kept_part = 0.0
@@ -69,10 +67,10 @@ def _truncated(
         rows = slice(first, first + block)
         visible = transfer.unpack(raw.visible[rows], grid.cells)
         t0 = transfer.direct_transfer(visible, raw.receivers.frames[rows], directions, solid_angles, factors)
-        kept = haar.truncate(haar.analyse(t0.unflatten(2, grid.shape)).flatten(2), keep)
-        index[:, rows], value[:, rows] = kept.index.transpose(0, 1), kept.value.transpose(0, 1)
+        kept = haar.truncate(haar.analyse(t0.unflatten(2, grid.shape)).flatten(2), keep, means)
+        index[:, rows], value[:, rows] = kept.indices.transpose(0, 1), kept.values.transpose(0, 1)
         whole += float(t0.square().sum(dtype=torch.float64))
-        kept_part += float(kept.value.square().sum(dtype=torch.float64))
+        kept_part += float(kept.values.square().sum(dtype=torch.float64))
         bar.update(len(visible))
     bar.close()
     return index, value, math.sqrt(max(0.0, 1 - kept_part / whole)) if whole else 0.0

@@ -1,14 +1,16 @@
-"""Materials: a diffuse and a specular colour around a monochrome specular shape."""
+"""Materials: a diffuse and a specular colour around a monochrome shape; and the spaces of shapes one navigates."""
 
 from __future__ import annotations
 
+import inspect
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from typing import Any, ClassVar
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from ptt.ops import brdf
 
@@ -105,28 +107,71 @@ def to_config(material: Material) -> dict[str, Any]:
     """A material as plain numbers, e.g. {"model": "blinn-phong", "diffuse": [..], "specular": [..], "exponent": 20}."""
     shape = material.shape
     parameters = {f.name: float(getattr(shape, f.name)) for f in fields(shape)} if shape else {}
-    colours = {"diffuse": material.diffuse.tolist(), "specular": material.specular.tolist()}
-    return {"model": shape.model if shape else "lambert", **colours, **parameters}
+    specular = {"specular": material.specular.tolist()} if shape else {}
+    model = shape.model if shape else "lambert"
+    return {"model": model, "diffuse": material.diffuse.tolist(), **specular, **parameters}
+
+
+MODELS: dict[str, Callable[..., Material]] = {
+    "lambert": lambert,
+    BlinnPhong.model: blinn_phong,
+    CookTorrance.model: cook_torrance,
+}
 
 
 def from_config(config: Mapping[str, Any]) -> Material:
-    """The inverse of `to_config`; colours may be left out (0.5 and 0) or be one number.
+    """The inverse of `to_config`; what is left out has the default of the model's function.
 
     Raises:
-        ValueError: an unknown model (the message lists the valid ones), or keys that the model does not have.
+        ValueError: an unknown model, or a key that the model does not have; the message lists the valid ones.
     """
-    given = dict(config)
-    model = given.pop("model", "lambert")
-    if model not in (known := {"lambert": None} | {cls.model: cls for cls in (BlinnPhong, CookTorrance)}):
-        raise ValueError(f"model must be one of {', '.join(known)}, got {model!r}")
-    cls = known[model]
-    names = [f.name for f in fields(cls)] if cls else []
-    if bad := sorted(set(given) - {"diffuse", "specular", *names}) + sorted(set(names) - set(given)):
-        raise ValueError(
-            f"a {model} material takes diffuse, specular{''.join(', ' + n for n in names)}; check {bad}"
-        )
-    shape = cls(**{name: given.pop(name) for name in names}) if cls else None
-    return Material(**given, shape=shape)
+    model = config.get("model")
+    if model not in MODELS:
+        raise ValueError(f"material.model must be one of {', '.join(MODELS)}, got {model!r}")
+    values = {key: value for key, value in config.items() if key != "model"}
+    valid = inspect.signature(MODELS[model]).parameters
+    if unknown := [key for key in values if key not in valid]:
+        raise ValueError(f"material: unknown {', '.join(map(repr, unknown))}; valid are {', '.join(valid)}")
+    return MODELS[model](**values)
+
+
+@dataclass(frozen=True)
+class BlinnPhongSpace:
+    """Blinn-Phong shapes between sampled exponents, linear in between (Sun et al. 2007, section 4.2).
+
+    exponents: ascending, in 0..1e6. The default reaches from 1 to 64, four samples to a factor of two: sharper
+        highlights do not fit a small tensor.
+    """
+
+    exponents: tuple[float, ...] = tuple(2 ** (k / 4) for k in range(25))
+
+    def __post_init__(self) -> None:
+        if not self.exponents or any(a >= b for a, b in pairwise(self.exponents)):
+            raise ValueError(f"exponents must hold ascending values, got {self.exponents}")
+
+    @property
+    def samples(self) -> tuple[BlinnPhong, ...]:
+        """The shapes that a tensor is fitted to, h of them."""
+        return tuple(BlinnPhong(exponent) for exponent in self.exponents)
+
+    def coordinates(self, shape: Shape) -> Tensor:
+        """Weights (h,) of the samples, float64, that interpolate a shape; differentiable in its exponent.
+
+        Raises:
+            ValueError: a shape of another model, or an exponent outside of the samples.
+        """
+        if not isinstance(shape, BlinnPhong):
+            raise ValueError(f"the model's space holds blinn-phong shapes, got {shape.model}")
+        nodes = torch.tensor(self.exponents, dtype=torch.float64)
+        x = torch.as_tensor(shape.exponent, dtype=torch.float64).cpu()
+        low, high, value = self.exponents[0], self.exponents[-1], float(x.detach())
+        if not low * (1 - 1e-6) <= value <= high * (1 + 1e-6):
+            raise ValueError(f"exponent must be in {low:g}..{high:g}, the model's space, got {value:g}")
+        after = min(int((nodes <= value).sum()), len(nodes) - 1)
+        before = max(after - 1, 0)
+        ends = nn.functional.one_hot(torch.tensor([before, after]), len(nodes)).double()
+        t = (x - nodes[before]) / (nodes[after] - nodes[before]) if before < after else x * 0
+        return ends[0] + t * (ends[1] - ends[0])
 
 
 def _colour(name: str, value: Colour, high: float) -> Tensor:

@@ -45,9 +45,10 @@ class RawTransfer:
             ValueError: the file is missing, damaged or not a raw transfer; the message names what is wrong.
         """
         config, tensors = saved.load(path, KIND)
-        shape = len(tensors.get("positions", ())), (6 * config["resolution"] ** 2 + 7) // 8
-        saved.check(path, tensors, {"visible": (torch.uint8, shape), **Receivers.expected(config)})
-        return cls(Receivers.restore(config, tensors), tensors["visible"], config["resolution"])
+        with saved.describing(path):
+            shape = len(tensors.get("positions", ())), (6 * config["resolution"] ** 2 + 7) // 8
+            saved.check(path, tensors, {"visible": (torch.uint8, shape), **Receivers.expected(config)})
+            return cls(Receivers.restore(config, tensors), tensors["visible"], config["resolution"])
 
 
 def precompute(

@@ -79,7 +79,9 @@ class Receivers:
         """The inverse of `config` and `tensors`."""
         regions = config["regions"]
         return cls(
-            *(tensors[name] for name in ("positions", "frames", "colours")),
+            tensors["positions"],
+            tensors["frames"],
+            tensors["colours"],
             tuple(r["points"] for r in regions),
             tuple(r["name"] for r in regions),
             tuple(r["editable"] for r in regions),

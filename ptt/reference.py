@@ -32,7 +32,7 @@ from tqdm import tqdm
 
 from ptt.environment import Environment
 from ptt.materials import BlinnPhong, CookTorrance, Material
-from ptt.ops.raycast import CHUNK, Hits
+from ptt.ops.raycast import Hits
 from ptt.ops.sampling import BeckmannLobe, Mixture, PowerLobe
 from ptt.scene import Camera, Scene
 
@@ -163,7 +163,7 @@ class _Vertices(NamedTuple):
     wo: Tensor
 
     def take(self, rows: Tensor) -> _Vertices:
-        return _Vertices(*(x.index_select(0, rows) for x in self))
+        return _Vertices(*(_pick(x, rows) for x in self))
 
 
 class _Paths:
@@ -228,29 +228,34 @@ class _Paths:
         light, weight, path = torch.zeros_like(at.wo), torch.ones_like(at.wo), torch.arange(len(at.wo))
         for left in range(self.bounces, -1, -1):
             rows, value = self._towards_light(at, u[:, :2])
-            light.index_add_(0, path[rows], weight[rows] * value)
+            light.index_add_(0, _pick(path, rows), _pick(weight, rows) * value)
             rows, world, factor, density = self._towards_brdf(at, u[:, 2:])
-            path, weight = path[rows], weight[rows] * factor
-            origin = at.origin[rows]
+            path, weight, origin = _pick(path, rows), _pick(weight, rows) * factor, _pick(at.origin, rows)
             hits = None if left == 0 else self.scene.surface.first_hit(origin, world)
             missed = ~self.scene.surface.occluded(origin, world) if hits is None else hits.triangle < 0
             out = torch.nonzero(missed)[:, 0]
-            share = density[out] / (density[out] + self.sampler.pdf(world[out]))
-            light.index_add_(0, path[out], weight[out] * share[:, None] * self.environment.radiance(world[out]))
+            beyond = self._beyond(_pick(world, out), _pick(density, out))
+            light.index_add_(0, _pick(path, out), _pick(weight, out) * beyond)
             if hits is not None:
                 rows, at = self.arrive(hits, world)
-                path, weight, u = path[rows], weight[rows], self._uniform(len(rows))
+                path, weight, u = _pick(path, rows), _pick(weight, rows), self._uniform(len(rows))
         return light
 
     def _uniform(self, n: int) -> Tensor:
         return torch.rand(n, 5, generator=self.random)
 
+    def _beyond(self, world: Tensor, density: Tensor) -> Tensor:
+        """The environment (n, 3) in directions that BRDFs drew with this density (n,), by the balance heuristic."""
+        share = density / (density + self.sampler.pdf(world))
+        return share[:, None] * self.environment.radiance(world)
+
     def _towards_light(self, at: _Vertices, u: Tensor) -> tuple[Tensor, Tensor]:
         """The vertices (k,) that receive light along directions drawn from the environment, and the light (k, 3)."""
         world, density = self.sampler.sample(u)
         rows = torch.nonzero((at.frame[:, 2] * world).sum(1) > GRAZING)[:, 0]
-        rows = rows[~self.scene.surface.occluded(at.origin[rows], world[rows])]
-        at, world, density = at.take(rows), world[rows], density[rows]
+        free = ~self.scene.surface.occluded(_pick(at.origin, rows), _pick(world, rows))
+        rows = _pick(rows, torch.nonzero(free)[:, 0])
+        at, world, density = at.take(rows), _pick(world, rows), _pick(density, rows)
         response, other = self._respond(at, _to_local(at.frame, world))
         return rows, response * self.environment.radiance(world) / (density + other)[:, None]
 
@@ -261,9 +266,9 @@ class _Paths:
         """
         wi = torch.empty_like(at.wo)
         for index, rows in self._by_region(at):
-            wi[rows] = self.mixtures[index].sample(u[rows], at.wo[rows])
+            wi.index_copy_(0, rows, self.mixtures[index].sample(_pick(u, rows), _pick(at.wo, rows)))
         rows = torch.nonzero(wi[:, 2] > GRAZING)[:, 0]
-        at, wi = at.take(rows), wi[rows]
+        at, wi = at.take(rows), _pick(wi, rows)
         response, density = self._respond(at, wi)
         return rows, _to_world(at.frame, wi), response / density[:, None], density
 
@@ -271,9 +276,9 @@ class _Paths:
         """BRDF x cosine (n, 3), and the density (n,) with which the BRDF would have drawn wi (n, 3), local."""
         response, density = torch.empty_like(wi), torch.empty_like(wi[:, 0])
         for index, rows in self._by_region(at):
-            i, o = wi[rows], at.wo[rows]
-            response[rows] = self.materials[index].evaluate(i, o, at.colour[rows])
-            density[rows] = self.mixtures[index].density(i, o)
+            i, o, colour = _pick(wi, rows), _pick(at.wo, rows), _pick(at.colour, rows)
+            response.index_copy_(0, rows, self.materials[index].evaluate(i, o, colour))
+            density.index_copy_(0, rows, self.mixtures[index].density(i, o))
         return response * wi[:, 2:], density
 
     def _by_region(self, at: _Vertices) -> Iterator[tuple[int, Tensor]]:
@@ -284,11 +289,11 @@ class _Paths:
     def arrive(self, hits: Hits, directions: Tensor) -> tuple[Tensor, _Vertices]:
         """The rays (k,) that hit a front seen from above the shading horizon, and the k vertices there."""
         rows = torch.nonzero(hits.front)[:, 0]
-        triangle, weights = hits.triangle[rows], hits.barycentric[rows]
-        corners = self.corners[triangle].view(-1, 10, 3)
+        triangle, weights = _pick(hits.triangle, rows), _pick(hits.barycentric, rows)
+        corners = _pick(self.corners, triangle).view(-1, 10, 3)
         position = corners[:, 0].double() + (corners[:, 1:3] * weights[:, 1:, None]).sum(1)
         frame = _frames(_mix(corners[:, 4:7], weights), _mix(corners[:, 7:10], weights))
-        wo = -_to_local(frame, directions[rows])
+        wo = -_to_local(frame, _pick(directions, rows))
         at = _Vertices(
             self.scene.surface.offset(position, corners[:, 3]),
             frame,
@@ -297,7 +302,7 @@ class _Paths:
             wo,
         )
         above = torch.nonzero(wo[:, 2] > GRAZING)[:, 0]
-        return rows[above], at.take(above)
+        return _pick(rows, above), at.take(above)
 
 
 def _check(points: Points, wo: Tensor, regions: int) -> None:
@@ -317,19 +322,15 @@ def _mixture(material: Material) -> Mixture:
     """How to draw directions for a material: the lobe's share is about its part of the reflected light."""
     match material.shape:
         case BlinnPhong(exponent):
-            return Mixture(PowerLobe(_number(exponent)), _share(material, 1.0))
+            return Mixture(PowerLobe(float(exponent)), _share(material, 1.0))
         case CookTorrance(f0, m):
-            return Mixture(BeckmannLobe(_number(m)), _share(material, 4 / math.pi * max(_number(f0), 0.1)))
+            return Mixture(BeckmannLobe(float(m)), _share(material, 4 / math.pi * max(float(f0), 0.1)))
     return Mixture()
 
 
 def _share(material: Material, albedo: float) -> float:
     specular, diffuse = float(material.specular.mean()) * albedo, float(material.diffuse.mean())
     return min(max(specular / max(specular + diffuse, 1e-12), 0.1), 0.9)
-
-
-def _number(value: float | Tensor) -> float:
-    return float(value)
 
 
 def _passes(n: int, batches: int, capacity: int) -> Iterator[tuple[slice, int]]:
@@ -345,6 +346,11 @@ def _lattice(size: int) -> Tensor:
     """Multiples (size, 5) of the powers of 1/g, g^6 = g + 1: a sequence that fills the 5-cube evenly."""
     g = 1.1347241384015194
     return (torch.arange(size)[:, None].double() * g ** -torch.arange(1.0, 6.0).double()).frac().float()
+
+
+def _pick(values: Tensor, rows: Tensor) -> Tensor:
+    """values[rows], several times faster."""
+    return values.index_select(0, rows)
 
 
 def _to_local(frame: Tensor, world: Tensor) -> Tensor:

@@ -42,25 +42,19 @@ def render(
         ValueError: radiance is not (v, 3) for the scene's vertices or not finite, or antialias < 1.
     """
     if radiance.shape != scene.vertices.shape or not bool(torch.isfinite(radiance).all()):
-        raise ValueError(
-            f"radiance must be finite, {tuple(scene.vertices.shape)}, got {tuple(radiance.shape)}"
-        )
+        raise ValueError(f"radiance must be finite, {tuple(scene.vertices.shape)}, got {tuple(radiance.shape)}")
     if antialias < 1:
         raise ValueError(f"antialias must be at least 1, got {antialias}")
     height, width = camera.height, camera.width
     eye, directions = replace(camera, width=width * antialias, height=height * antialias).rays()
     rows = [
-        _trace(scene, eye, part.flatten(0, 1), radiance, environment).reshape(
-            -1, antialias, width, antialias, 3
-        )
+        _trace(scene, eye, part.flatten(0, 1), radiance, environment).reshape(-1, antialias, width, antialias, 3)
         for part in directions.split(antialias * max(1, (1 << 20) // (width * antialias**2)))
     ]
     return Image(torch.cat(rows).mean((1, 3)))
 
 
-def _trace(
-    scene: Scene, eye: Tensor, directions: Tensor, radiance: Tensor, environment: Environment | None
-) -> Tensor:
+def _trace(scene: Scene, eye: Tensor, directions: Tensor, radiance: Tensor, environment: Environment | None) -> Tensor:
     hits = scene.surface.first_hit(eye.expand_as(directions), directions)
     corners = scene.faces[hits.triangle.clamp(min=0)]
     surface = torch.einsum("nkc,nk->nc", radiance.cpu()[corners], hits.barycentric * hits.front[:, None])

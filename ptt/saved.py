@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,7 @@ SCHEMA = 1
 Shapes = Mapping[str, tuple[torch.dtype, tuple[int, ...]]]
 
 
-def save(
-    path: str | PathLike[str], kind: str, config: Mapping[str, Any], tensors: Mapping[str, Tensor]
-) -> None:
+def save(path: str | PathLike[str], kind: str, config: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
     """Write tensors, with what they are and the config that made them.
 
     The file appears whole or not at all: it is written beside its place first.
@@ -54,12 +53,19 @@ def load(path: str | PathLike[str], kind: str) -> tuple[dict[str, Any], dict[str
     except (SafetensorError, OSError, json.JSONDecodeError) as error:
         raise ValueError(f"{path} is not a whole safetensors file: {error}") from error
     if header.get("kind") != kind:
-        raise ValueError(
-            f"{path} must hold a {kind}, got {header.get('kind', 'a file that ptt did not write')}"
-        )
+        raise ValueError(f"{path} must hold a {kind}, got {header.get('kind', 'a file that ptt did not write')}")
     if header.get("schema") != SCHEMA:
         raise ValueError(f"{path} has schema {header.get('schema')}, this version of ptt reads {SCHEMA}")
     return header["config"], tensors
+
+
+@contextmanager
+def describing(path: str | PathLike[str]) -> Iterator[None]:
+    """Turn what reading a damaged config raises into a ValueError that names the file."""
+    try:
+        yield
+    except (KeyError, TypeError, IndexError, AttributeError) as error:
+        raise ValueError(f"{path}: its config is damaged: {error!r}") from error
 
 
 def check(path: str | PathLike[str], tensors: Mapping[str, Tensor], expected: Shapes) -> None:

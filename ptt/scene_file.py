@@ -38,7 +38,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from ptt.materials import Material, blinn_phong, cook_torrance, lambert
+from ptt import materials
 from ptt.mesh_file import read_parts, read_texture
 from ptt.meshes import Part, join, transformed
 from ptt.ops import mesh
@@ -50,11 +50,6 @@ SHAPES: dict[str, Callable[..., tuple[Tensor, Tensor]]] = {
     "sphere": mesh.sphere_mesh,
     "box": mesh.box_mesh,
     "torus": mesh.torus_mesh,
-}
-MODELS: dict[str, Callable[..., Material]] = {
-    "lambert": lambert,
-    "blinn-phong": blinn_phong,
-    "cook-torrance": cook_torrance,
 }
 PLACING = ("scale", "rotate", "translate")
 REGION = ("name", "mesh", *SHAPES, "parts", *PLACING, "subdivide", "editable", "texture", "material")
@@ -117,7 +112,7 @@ def _region(table: Mapping[str, Any], folder: Path) -> Part:
 
 
 def _geometry(table: Mapping[str, Any], folder: Path) -> Part:
-    material = _material(table["material"]) if "material" in table else None
+    material = materials.from_config(table["material"]) if "material" in table else None
     sources = [key for key in ("mesh", *SHAPES) if key in table]
     if len(sources) != 1:
         raise ValueError(f"region must have one of mesh, {', '.join(SHAPES)}, got {sources or 'none'}")
@@ -139,16 +134,7 @@ def _chosen(parts: list[Part], names: list[str] | None) -> list[Part]:
     return parts if names is None else [part for part in parts if part.name in names]
 
 
-def _material(table: Mapping[str, Any]) -> Material:
-    model = table.get("model")
-    if model not in MODELS:
-        raise ValueError(f"material.model must be one of {', '.join(MODELS)}, got {model!r}")
-    return _call("material", MODELS[model], {k: v for k, v in table.items() if k != "model"})
-
-
-def _matrix(
-    scale: float = 1.0, rotate: Iterable[float] = (0, 0, 0), translate: Iterable[float] = (0, 0, 0)
-) -> Tensor:
+def _matrix(scale: float = 1.0, rotate: Iterable[float] = (0, 0, 0), translate: Iterable[float] = (0, 0, 0)) -> Tensor:
     """(4, 4) float64: scale, then turn about x, y and z [degrees], then move."""
     if not (isinstance(scale, int | float) and math.isfinite(scale) and scale > 0):
         raise ValueError(f"scale must be one positive number, got {scale}")

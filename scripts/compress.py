@@ -2,7 +2,6 @@
 
     python scripts/compress.py                                      # runs/default/raw.safetensors
     python scripts/compress.py --raw runs/bunny/raw.safetensors --coefficients 256
-    python scripts/compress.py --space cook-torrance
 
 Writes model.safetensors and compress.json beside the raw file. Next: relight.py or evaluate.py.
 """
@@ -12,7 +11,6 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import ptt
 from ptt.cli import configure, run, save_config
@@ -28,17 +26,14 @@ class Config:
     """Haar coefficients kept for each vertex and incident factor: 96 for a preview, 256 below 1 % of error."""
     ranks: tuple[int, int, int] = (4, 24, 24)
     """BRDF, outgoing and incident factors of the BRDF tensor; storage grows with the last."""
-    space: Literal["auto", "blinn-phong", "cook-torrance"] = "auto"
-    """The materials that the model can show; auto: those of the scene."""
 
 
 def main() -> None:
     config = configure(Config, __doc__ or "")
     raw = ptt.RawTransfer.load(config.raw)
-    space = None if config.space == "auto" else ptt.SPACES[config.space]()
 
     start = time.perf_counter()
-    model = ptt.compress(raw, config.coefficients, space=space, ranks=config.ranks, progress=True)
+    model = ptt.compress(raw, config.coefficients, ranks=config.ranks, progress=True)
     seconds = time.perf_counter() - start
 
     print(f"BRDF tensor {tuple(model.brdf.core.shape)}: relative L2 error of each sample of the space")

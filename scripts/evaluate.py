@@ -58,7 +58,12 @@ def main() -> None:
             errors[name] = {"relative_rmse": ptt.relative_rmse(radiance[at], truth.mean[at]), "noise": noise}
             print(f"{name:>12}: relative RMSE {errors[name]['relative_rmse']:.4f}, reference noise {noise:.4f}")
     print(f"relit in {relit - start:.3f} s, reference in {traced - relit:.1f} s")
-    result = {"config": asdict(config), "errors": errors, "relight_s": relit - start, "reference_s": traced - relit}
+    result = {
+        "config": asdict(config),
+        "errors": errors,
+        "relight_s": relit - start,
+        "reference_s": traced - relit,
+    }
     path = config.model.with_name("evaluate.json")
     path.write_text(json.dumps(result, default=str, indent=2) + "\n")
     print(f"wrote {path}")

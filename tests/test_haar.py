@@ -43,9 +43,9 @@ def test_truncation_keeps_the_largest_and_its_error_is_what_was_left_out() -> No
     x = random(5, 256)
     kept = haar.truncate(x, 20)
     dense = kept.to_dense(256)
-    assert (kept.index.diff(dim=-1) > 0).all()
+    assert (kept.indices.diff(dim=-1) > 0).all()
     left = torch.where(dense == 0, x, 0.0)
-    assert (left.abs().amax(-1) <= kept.value.abs().amin(-1)).all()
+    assert (left.abs().amax(-1) <= kept.values.abs().amin(-1)).all()
     assert torch.allclose((x - dense).norm(dim=-1), left.norm(dim=-1))
     assert torch.equal(haar.truncate(x, 256).to_dense(256), x)
 

@@ -28,17 +28,13 @@ def test_shapes_are_closed_face_outwards_and_hold_their_volume(name: str) -> Non
     """Inscribed polyhedra hold a little less than the smooth body; a box holds all of it."""
     (vertices, faces), expected, tolerance = SHAPES[name]
     assert -tolerance * expected <= volume(vertices, faces) - expected <= 1e-6 * expected
-    assert (
-        mesh.face_crosses(vertices, faces).sum(0).abs().max() < 1e-5
-    )  # a closed surface's area vector is zero
+    assert mesh.face_crosses(vertices, faces).sum(0).abs().max() < 1e-5  # a closed surface's area vector is zero
 
 
 def test_plane_faces_up_and_has_its_area() -> None:
     vertices, faces = mesh.plane_mesh(2.0, 5)
     assert vertices.shape == (36, 3) and faces.shape == (50, 3)
-    torch.testing.assert_close(
-        mesh.face_crosses(vertices, faces).sum(0) / 2, torch.tensor([0.0, 4.0, 0.0]).double()
-    )
+    torch.testing.assert_close(mesh.face_crosses(vertices, faces).sum(0) / 2, torch.tensor([0.0, 4.0, 0.0]).double())
 
 
 def test_sphere_normals_point_along_the_radius() -> None:

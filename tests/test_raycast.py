@@ -37,9 +37,7 @@ def test_a_sphere_does_not_shadow_itself(scale: float, shift: float) -> None:
     normals = torch.nn.functional.normalize(vertices, dim=1)
     placed = (vertices + shift) * scale
     surface = Surface(placed, faces)
-    d = torch.nn.functional.normalize(
-        torch.randn(len(vertices), 3, generator=torch.Generator().manual_seed(0)), dim=1
-    )
+    d = torch.nn.functional.normalize(torch.randn(len(vertices), 3, generator=torch.Generator().manual_seed(0)), dim=1)
     d = d * (d * normals).sum(1, keepdim=True).sign()
     d = torch.nn.functional.normalize(d + 0.05 * normals, dim=1)
     assert not surface.occluded(surface.offset(placed, normals), d).any()

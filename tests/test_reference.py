@@ -16,6 +16,7 @@ from ptt.materials import Material, blinn_phong, cook_torrance, lambert
 from ptt.meshes import Part
 from ptt.ops import mesh
 from ptt.ops.sampling import Mixture
+from ptt.ops.sphere import LatLong
 from ptt.reference import Estimate, Points, along_rays, at_vertices, image, radiance
 from ptt.scene import Camera, Scene
 
@@ -62,13 +63,11 @@ def over_points(estimate: Estimate) -> Estimate:
 
 def smooth_sky() -> Environment:
     """Radiance that is a polynomial of low order in the direction, different for each colour."""
-    from ptt.ops.sphere import LatLong
-
     x, y, z = LatLong(128, 256).directions().unbind(-1)
     return Environment(torch.stack([1 + 0.6 * y + 0.3 * x, 1 + x * z, 0.5 + y * y], -1).float())
 
 
-def quadrature(material: Material, environment: Environment, wo: Tensor, rings: int = 700, turns: int = 256) -> Tensor:
+def quadrature(material: Material, environment: Environment, wo: Tensor, rings: int = 500, turns: int = 128) -> Tensor:
     """The integral of f L cos over the hemisphere around +y, in float64; rings are denser near the mirror."""
     local_wo = UP.double() @ wo[0].double()
     mirror = local_wo * local_wo.new_tensor([-1.0, -1.0, 1.0])
@@ -139,7 +138,7 @@ def test_lambert_on_a_floor_is_exact() -> None:
 @pytest.mark.parametrize("tilt", [0.5, 45.0, 75.0])
 def test_glossy_direct_light_is_the_integral(material: Material, tilt: float) -> None:
     scene, environment, wo = scene_of(plane()), smooth_sky(), toward(tilt)
-    estimate = radiance(scene, environment, same(material, scene), floor_point(), wo, samples=1 << 16)
+    estimate = radiance(scene, environment, same(material, scene), floor_point(), wo, samples=1 << 15)
     expected = quadrature(material, environment, wo)
     assert (estimate.standard_error < 0.01 * estimate.mean).all()
     assert agrees(estimate, expected, floor=5e-4)
@@ -183,7 +182,9 @@ def test_open_white_box_fills_up_to_one() -> None:
     After k bounces what is missing is the light that would still be inside: B grows with k and stays below 1.
     """
     vertices, faces = mesh.box_mesh(cells=2)
-    inside = faces.flip(1)[vertices[faces][:, :, 1].amin(1) < 0.49]
+    sides = [i for i in range(6) if i != 2]  # nine vertices and eight triangles each; 2 is the lid
+    vertices = torch.cat([vertices[9 * i : 9 * i + 9] for i in sides])
+    inside = torch.cat([faces.flip(1)[8 * i : 8 * i + 8] - 9 * (i - k) for k, i in enumerate(sides)])
     scene = Scene.from_mesh(vertices, inside)
     points = reference.vertex_points(scene)
     means = []
@@ -257,10 +258,7 @@ def test_standard_error_is_the_spread_of_seeds(samples: int) -> None:
     scene, environment = Scene.default(), smooth_sky()
     points = Points(*(x[::32] for x in reference.vertex_points(scene)))
     wo = points.frame[:, 2]
-    runs = [
-        radiance(scene, environment, scene.materials, points, wo, samples=samples, seed=seed)
-        for seed in range(24)
-    ]
+    runs = [radiance(scene, environment, scene.materials, points, wo, samples=samples, seed=seed) for seed in range(24)]
     means = torch.stack([run.mean for run in runs])
     stated = torch.stack([run.standard_error.square() for run in runs]).mean(0)
     weight = 1 / means.mean(0).square()
@@ -301,7 +299,7 @@ def test_same_seed_same_bits_and_no_global_state() -> None:
 def test_blocks_do_not_change_the_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks smaller than the points, and than a point's samples, estimate the same thing."""
     scene = Scene.default()
-    points = Points(*(x[::100] for x in reference.vertex_points(scene)))
+    points = Points(*(x[::400] for x in reference.vertex_points(scene)))
 
     def run(seed: int) -> Estimate:
         return radiance(scene, smooth_sky(), scene.materials, points, points.frame[:, 2], samples=500, seed=seed)
@@ -369,8 +367,6 @@ def test_tangents_reach_the_material(axis: int, expected: float) -> None:
     uv = vertices[:, [0, 2]] if axis == 0 else vertices[:, [2, 0]]
     scene = Scene.from_mesh(vertices, faces, uv=uv)
     material = replace_shape(Brushed())
-    from ptt.ops.sphere import LatLong
-
     x = LatLong(256, 512).directions()[..., :1]
     light = Environment((1 + x * x).float().expand(-1, -1, 3).contiguous())
     origins = torch.tensor([[0.3, 1.0, 0.1]]).expand(8, 3)

@@ -10,7 +10,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from ptt.ops.sampling import BeckmannLobe, Lobe, Mixture, PowerLobe, cosine_density, cosine_hemisphere, reflect
+from ptt.ops.sampling import (
+    BeckmannLobe,
+    Lobe,
+    Mixture,
+    PowerLobe,
+    cosine_density,
+    cosine_hemisphere,
+    reflect,
+)
 
 POWERS = [PowerLobe(n) for n in (0.0, 1.0, 20.0, 1000.0, 1e5)]
 BECKMANNS = [BeckmannLobe(m) for m in (0.01, 0.1, 0.5)]

@@ -292,9 +292,7 @@ def test_obj_materials_become_regions_with_their_texture(tmp_path: Path) -> None
     """A 2 x 2 sRGB image: 0, 10, 128, 255 decode to 0, 10 / 255 / 12.92, 0.21586, 1 (IEC 61966-2-1)."""
     texels = np.array([[0, 10], [128, 255]], np.uint8)
     Image.fromarray(np.repeat(texels[..., None], 3, -1)).save(tmp_path / "t.png")
-    (tmp_path / "m.mtl").write_text(
-        "newmtl a\nmap_Kd t.png\nnewmtl b\nKd 0.1 0.2 0.3\nKs 0.4 0.4 0.4\nNs 50\n"
-    )
+    (tmp_path / "m.mtl").write_text("newmtl a\nmap_Kd t.png\nnewmtl b\nKd 0.1 0.2 0.3\nKs 0.4 0.4 0.4\nNs 50\n")
     quad = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
     faces = "usemtl a\nf 1/1 2/2 3/3\nusemtl b\nf 1/1 3/3 4/4\n"
     (tmp_path / "quad.obj").write_text("mtllib m.mtl\n" + quad + faces)
@@ -316,9 +314,7 @@ def test_obj_materials_become_regions_with_their_texture(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(("ending", "expected"), [(".ply", 0.2158605), (".glb", 128 / 255)])
-def test_vertex_colours_are_srgb_in_ply_and_linear_in_gltf(
-    tmp_path: Path, ending: str, expected: float
-) -> None:
+def test_vertex_colours_are_srgb_in_ply_and_linear_in_gltf(tmp_path: Path, ending: str, expected: float) -> None:
     """128 of 255 decodes to 0.21586 (IEC 61966-2-1); COLOR_0 is linear (glTF 2.0)."""
     v, f = mesh.plane_mesh(1.0, 1)
     grey = np.tile(np.array([128, 0, 255, 255], np.uint8), (4, 1))
@@ -339,9 +335,7 @@ def _glb(path: Path, node: dict[str, object]) -> Path:
         "scene": 0,
         "scenes": [{"nodes": [0, 1]}],
         "nodes": [{"mesh": 0, **node}, {"mesh": 0}],
-        "meshes": [
-            {"name": "tri", "primitives": [{"attributes": {"POSITION": 0, "NORMAL": 1}, "material": 0}]}
-        ],
+        "meshes": [{"name": "tri", "primitives": [{"attributes": {"POSITION": 0, "NORMAL": 1}, "material": 0}]}],
         "materials": [
             {
                 "pbrMetallicRoughness": {
@@ -357,13 +351,7 @@ def _glb(path: Path, node: dict[str, object]) -> Path:
     }
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
-    body = (
-        struct.pack("<II", len(text), 0x4E4F534A)
-        + text
-        + struct.pack("<II", 72, 0x004E4942)
-        + points
-        + normals
-    )
+    body = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", 72, 0x004E4942) + points + normals
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body)
     return path
 
@@ -438,9 +426,7 @@ def test_spot_is_smooth_across_its_texture_seams(data_dir: Path) -> None:
     torch.testing.assert_close(first[index], scene.normals)
 
 
-@pytest.mark.parametrize(
-    "name", ["teapot_uv_normals.obj", "suzanne_7k.ply", "igea.ply", "dragon_vrip_res3.ply"]
-)
+@pytest.mark.parametrize("name", ["teapot_uv_normals.obj", "suzanne_7k.ply", "igea.ply", "dragon_vrip_res3.ply"])
 @pytest.mark.filterwarnings("ignore:mesh repaired")
 def test_real_meshes_load(data_dir: Path, name: str) -> None:
     sound(Scene.load(data_dir / "meshes" / name))
@@ -481,9 +467,7 @@ def test_scene_file_places_shapes_and_gives_materials(tmp_path: Path) -> None:
     assert scene.camera == Camera((0, 1, 5), (0, 1, 0), fov=30)
     assert [(r.name, r.editable) for r in scene.regions] == [("a", False), ("b", True)]
     a = scene.vertices[scene.vertex_region == 0]
-    torch.testing.assert_close(
-        a.amin(0), torch.tensor([7.0, -2, -1])
-    )  # 90 degrees about y: x takes z's length
+    torch.testing.assert_close(a.amin(0), torch.tensor([7.0, -2, -1]))  # 90 degrees about y: x takes z's length
     torch.testing.assert_close(a.amax(0), torch.tensor([13.0, 2, 1]))
     assert int((scene.face_region == 0).sum()) == 48 and len(a) == 54
     assert scene.materials["a"].shape == CookTorrance(0.5, 0.2)
@@ -556,9 +540,7 @@ def test_files_are_found_beside_the_scene_file_then_in_ptt_data(
         Scene.load(path)
 
 
-def test_scene_file_picks_parts_and_textures(
-    data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scene_file_picks_parts_and_textures(data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PTT_DATA", str(data_dir))
     text = """
     [[region]]

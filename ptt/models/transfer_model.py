@@ -9,7 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from ptt import saved, spaces
+from ptt import saved
+from ptt.materials import BlinnPhongSpace
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.ops.sphere import Cube
 from ptt.receivers import Receivers
@@ -77,7 +78,7 @@ class TransferModel(nn.Module):
             "truncation_error": self.truncation_error,
             "ranks": list(self.brdf.core.shape),
             "disk": self.brdf.u_i.shape[1],
-            "space": spaces.to_config(self.brdf.space),
+            "exponents": list(self.brdf.space.exponents),
             **self.receivers.config(),
         }
         saved.save(path, KIND, config, self.state_dict())
@@ -90,16 +91,20 @@ class TransferModel(nn.Module):
             ValueError: the file is missing, damaged or not a transfer model; the message names what is wrong.
         """
         config, tensors = saved.load(path, KIND)
-        saved.check(path, tensors, _expected(config))
-        resolution = config["resolution"]
-        if int(tensors["index"].min()) < 0 or int(tensors["index"].max()) >= Cube(resolution).cells:
-            raise ValueError(f"{path}: index must be in 0..{Cube(resolution).cells - 1}")
-        parts = {name.removeprefix("brdf."): t for name, t in tensors.items() if name.startswith("brdf.")}
-        brdf = TensorBRDF(spaces.from_config(config["space"]), **parts)
-        receivers = Receivers.restore(config, tensors)
-        return cls(
-            receivers, brdf, resolution, tensors["index"], tensors["value"], config["truncation_error"]
-        )
+        with saved.describing(path):
+            saved.check(path, tensors, _expected(config))
+            cells = Cube(config["resolution"]).cells
+            if int(tensors["index"].min()) < 0 or int(tensors["index"].max()) >= cells:
+                raise ValueError(f"{path}: index must be in 0..{cells - 1}")
+            parts = {name.removeprefix("brdf."): t for name, t in tensors.items() if name.startswith("brdf.")}
+            return cls(
+                Receivers.restore(config, tensors),
+                TensorBRDF(BlinnPhongSpace(tuple(config["exponents"])), **parts),
+                config["resolution"],
+                tensors["index"],
+                tensors["value"],
+                config["truncation_error"],
+            )
 
 
 def _expected(config: dict[str, Any]) -> saved.Shapes:
@@ -107,7 +112,7 @@ def _expected(config: dict[str, Any]) -> saved.Shapes:
     n, k = config["disk"], config["kept"]
     v = sum(region["points"] for region in config["regions"])
     cells = Cube(config["resolution"]).cells
-    samples = len(spaces.from_config(config["space"]).samples)
+    samples = len(config["exponents"])
     return {
         "index": (torch.int16 if cells <= 1 << 15 else torch.int32, (1 + i, v, k)),
         "value": (torch.float32, (1 + i, v, k)),

@@ -64,9 +64,9 @@ class TransferRelighter(nn.Module):
         def compute() -> Tensor:
             texels = environment.project(self.model.grid).to(self.t0)  # shape: (6, n, n, c)
             lighting = haar.analyse(texels.movedim(-1, 0)).flatten(1).T.contiguous()
-            return relight.light_step(self.t0, lighting).unflatten(1, self.model.value.shape[:2])
+            return relight.light_step(self.t0, lighting, len(self.model.value))
 
-        return self._incident((environment, self.t0.values()), compute)
+        return self._incident((environment, self.t0), compute)
 
     def exitant(self, environment: Environment, materials: Mapping[str, Material]) -> Tensor:
         """BRDF step: Q (c, o, v), what each point sends out through each outgoing factor."""
@@ -118,12 +118,6 @@ class TransferRelighter(nn.Module):
             raise ValueError(f"no region {', '.join(unknown)}; the model has {', '.join(own.names)}")
         for name, editable in zip(own.names, own.editable, strict=True):
             given = materials.get(name)
-            if (
-                given is not None
-                and not editable
-                and mat.to_config(given) != mat.to_config(own.materials[name])
-            ):
-                raise ValueError(
-                    f"region {name} is fixed: make it editable in the scene to change its material"
-                )
+            if given is not None and not editable and mat.to_config(given) != mat.to_config(own.materials[name]):
+                raise ValueError(f"region {name} is fixed: make it editable in the scene to change its material")
         return own.materials | dict(materials)

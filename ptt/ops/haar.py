@@ -55,31 +55,37 @@ def synthesise(coefficients: Tensor) -> Tensor:
 class Truncated(NamedTuple):
     """The k largest of l coefficients.
 
-    index (..., k) int32: positions in 0..l-1, ascending
-    value (..., k): the coefficients there
+    indices (..., k) int32: positions in 0..l-1, ascending
+    values (..., k): the coefficients there
     """
 
-    index: Tensor
-    value: Tensor
+    indices: Tensor
+    values: Tensor
 
     def to_dense(self, length: int) -> Tensor:
         """(..., length), zeros elsewhere."""
-        dense = self.value.new_zeros(*self.value.shape[:-1], length)
-        return dense.scatter(-1, self.index.long(), self.value)
+        dense = self.values.new_zeros(*self.values.shape[:-1], length)
+        return dense.scatter(-1, self.indices.long(), self.values)
 
 
-def truncate(coefficients: Tensor, keep: int) -> Truncated:
+def truncate(coefficients: Tensor, keep: int, always: Tensor | None = None) -> Truncated:
     """Non-linear approximation of coefficients (..., l): the `keep` largest magnitudes, the best in the L2 norm.
 
+    always (a,): positions that are kept whatever their magnitude, e.g. the means, so that constants stay exact
+
     Raises:
-        ValueError: keep is not in 1..l.
+        ValueError: keep is not in 1..l, or less than a.
     """
     length = coefficients.shape[-1]
-    if not 1 <= keep <= length:
-        raise ValueError(f"keep must be in 1..{length}, got {keep}")
+    least = 1 if always is None else len(always)
+    if not least <= keep <= length:
+        raise ValueError(f"keep must be in {least}..{length}, got {keep}")
     if keep == length:
         return Truncated(torch.arange(length, dtype=torch.int32).expand(coefficients.shape), coefficients)
-    index = coefficients.abs().topk(keep, dim=-1, sorted=False).indices.sort(dim=-1).values
+    magnitude = coefficients.abs()
+    if always is not None:
+        magnitude[..., always] = torch.inf
+    index = magnitude.topk(keep, dim=-1, sorted=False).indices.sort(dim=-1).values
     return Truncated(index.int(), coefficients.gather(-1, index))
 
 

@@ -196,9 +196,7 @@ def sphere_mesh(subdivisions: int = 3, radius: float = 1.0) -> tuple[Tensor, Ten
     return (vertices * radius).float(), faces
 
 
-def torus_mesh(
-    radius: float = 1.0, tube: float = 0.4, around: int = 64, across: int = 24
-) -> tuple[Tensor, Tensor]:
+def torus_mesh(radius: float = 1.0, tube: float = 0.4, around: int = 64, across: int = 24) -> tuple[Tensor, Tensor]:
     """A torus about the y axis, facing outwards: `around` x `across` vertices."""
     angle = torch.arange(around, dtype=torch.float64) * (2 * math.pi / around)
     centre = torch.stack([angle.cos(), torch.zeros_like(angle), -angle.sin()], -1)

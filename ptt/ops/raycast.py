@@ -74,10 +74,7 @@ class Surface:
             return self._embree.run(o, d, output=True)
 
         parts = self._chunks(query, origins, directions) or [query(*np.zeros((2, 0, 3), np.float32))]
-        hit = {
-            k: torch.from_numpy(np.concatenate([p[k] for p in parts]))
-            for k in ("primID", "u", "v", "tfar", "Ng")
-        }
+        hit = {k: torch.from_numpy(np.concatenate([p[k] for p in parts])) for k in ("primID", "u", "v", "tfar", "Ng")}
         triangle = hit["primID"].long()
         miss = triangle < 0
         u, v = hit["u"], hit["v"]
@@ -106,7 +103,5 @@ def _build(vertices: np.ndarray, faces: np.ndarray) -> Any:
         raise ImportError("ptt traces rays with embree: pip install embreex") from error
     scene = EmbreeScene(robust=True)
     TriangleMesh(scene, vertices, faces)
-    scene.run(
-        np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), query="OCCLUDED"
-    )  # builds the tree once
+    scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), query="OCCLUDED")  # builds the tree once
     return scene

@@ -18,9 +18,10 @@ import torch
 from torch import Tensor
 
 
-def light_step(transfer: Tensor, lighting: Tensor) -> Tensor:
-    """U (c, i * v) from T0 as a sparse CSR matrix (i * v, l), rows ordered (i, v), and lighting (l, c)."""
-    return (transfer @ lighting).T.contiguous()
+def light_step(transfer: Tensor, lighting: Tensor, factors: int) -> Tensor:
+    """U (c, i, v) from T0 as a sparse CSR matrix (i * v, l), rows ordered (i, v), i < factors, and lighting (l, c)."""
+    incident: Tensor = transfer @ lighting
+    return incident.T.reshape(lighting.shape[1], factors, -1)
 
 
 def brdf_step(matrices: Tensor, incident: Tensor, spans: Sequence[tuple[int, int]]) -> Tensor:

@@ -35,7 +35,7 @@ def unpack(bits: Tensor, length: int) -> Tensor:
 
 
 def lookup(table: Tensor, local: Tensor) -> Tensor:
-    """Bilinear values (b, i, k) of a table on the disk grid (i, n, n) at local directions (b, 2 or 3, k); z is unused."""
+    """Bilinear values (b, i, k) of a table on the disk grid (i, n, n) at local directions (b, 3, k); z is unused."""
     grid = local[:, None, :2].movedim(2, 3)  # shape: (b, 1, k, 2)
     tables = table.expand(len(local), -1, -1, -1)
     values = torch.nn.functional.grid_sample(tables, grid, padding_mode="border", align_corners=False)

@@ -95,4 +95,5 @@ def _rank_within(values: Tensor, budget: float) -> int:
 
 
 def _project(core: Tensor, factor: Tensor, axis: int) -> Tensor:
-    return torch.tensordot(core, factor, dims=([axis], [0])).movedim(-1, axis)
+    projected: Tensor = torch.tensordot(core, factor, dims=([axis], [0]))
+    return projected.movedim(-1, axis)
