@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -22,23 +21,18 @@ RANKS = (4, 24, 24)  # BRDF, outgoing and incident factors
 
 
 def compress(
-    raw: RawTransfer,
-    coefficients: int | None = 96,
-    *,
-    space: BlinnPhongSpace = SPACE,
-    ranks: Sequence[int] = RANKS,
-    progress: bool = False,
+    raw: RawTransfer, coefficients: int | None = 96, brdf: TensorBRDF | None = None, *, progress: bool = False
 ) -> TransferModel:
-    """T0 of every point and incident factor, its largest coefficients alone.
+    """T0 of every receiver and incident factor, its largest coefficients alone.
 
-    coefficients: Haar coefficients kept for each point and factor; None keeps all. 96 is the paper's: about 2.6 %
-        relative error in the picture under a natural map, 256 about 0.8 %
-    space: the shapes that materials can move in
-    ranks: BRDF, outgoing and incident factors of its tensor; storage grows with the last
+    coefficients: Haar coefficients kept for each receiver and factor, the faces' means always among them; None keeps
+        all. 96 is the paper's: about 2 % relative error in the picture under a natural map, 256 well below 1 %
+    brdf: the materials that the model can show; default: Blinn-Phong exponents 1..64 at ranks (4, 24, 24). Storage
+        grows with the incident factors
     progress: show a bar with the rate and the time left
 
     Raises:
-        ValueError: coefficients or ranks out of range.
+        ValueError: coefficients out of range.
 
     Sun et al. 2007, sections 3.3 and 4.3.
     """
@@ -46,7 +40,7 @@ def compress(
     keep = grid.cells if coefficients is None else coefficients
     if not 6 <= keep <= grid.cells:
         raise ValueError(f"coefficients must be in 6..{grid.cells}, got {keep}")
-    brdf = TensorBRDF.fit(space, ranks=ranks)
+    brdf = brdf or TensorBRDF.fit(SPACE, ranks=RANKS)
     return TransferModel(raw.receivers, brdf, raw.resolution, *_truncated(raw, grid, brdf.u_i, keep, progress))
 
 

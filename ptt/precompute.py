@@ -37,6 +37,10 @@ class RawTransfer:
         config = {"resolution": self.resolution, **self.receivers.config()}
         saved.save(path, KIND, config, {"visible": self.visible, **self.receivers.tensors()})
 
+    def part(self, rows: slice) -> RawTransfer:
+        """Some of the receivers."""
+        return RawTransfer(self.receivers.part(rows), self.visible[rows], self.resolution)
+
     @classmethod
     def load(cls, path: str | PathLike[str]) -> RawTransfer:
         """Read what `save` wrote.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -49,6 +49,18 @@ class Receivers:
             tuple(region.name for region in scene.regions),
             tuple(region.editable for region in scene.regions),
             dict(scene.materials),
+        )
+
+    def part(self, rows: slice) -> Receivers:
+        """Those in a range."""
+        first, end, _ = rows.indices(len(self))
+        counts = tuple(max(0, min(end, b) - max(first, a)) for a, b in self.spans)
+        return replace(
+            self,
+            positions=self.positions[rows],
+            frames=self.frames[rows],
+            colours=self.colours[rows],
+            counts=counts,
         )
 
     def __len__(self) -> int:

@@ -33,7 +33,8 @@ def main() -> None:
     raw = ptt.RawTransfer.load(config.raw)
 
     start = time.perf_counter()
-    model = ptt.compress(raw, config.coefficients, ranks=config.ranks, progress=True)
+    brdf = ptt.TensorBRDF.fit(ptt.BlinnPhongSpace(), ranks=config.ranks)
+    model = ptt.compress(raw, config.coefficients, brdf, progress=True)
     seconds = time.perf_counter() - start
 
     print(f"BRDF tensor {tuple(model.brdf.core.shape)}: relative L2 error of each sample of the space")

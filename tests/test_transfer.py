@@ -14,10 +14,13 @@ from ptt.ops.sphere import Cube
 
 
 def relight(scene: ptt.Scene, environment: ptt.Environment, resolution: int = 64, coefficients: int | None = 96):
-    model = ptt.compress(
-        ptt.precompute(scene, resolution), coefficients, space=ptt.BlinnPhongSpace((20.0,)), ranks=(1, 1, 1)
-    )
+    brdf = ptt.TensorBRDF.fit(ptt.BlinnPhongSpace((20.0,)), ranks=(1, 1, 1))
+    model = ptt.compress(ptt.precompute(scene, resolution), coefficients, brdf)
     return ptt.TransferRelighter(model)(environment, scene.materials, torch.tensor([0.0, 50.0, 0.0]))
+
+
+def small_brdf() -> ptt.TensorBRDF:
+    return ptt.TensorBRDF.fit(ptt.BlinnPhongSpace((4.0, 20.0)), ranks=(2, 4, 4))
 
 
 def test_white_furnace_of_a_convex_body() -> None:
@@ -91,7 +94,7 @@ def test_direct_transfer_is_visibility_times_factor_times_cosine_by_a_plain_loop
 def test_wavelet_sums_equal_texel_sums(small_raw: ptt.RawTransfer) -> None:
     """Keeping all coefficients, U is the plain sum over texels of light times transfer."""
     environment = ptt.Environment.sun_sky(radius=8.0)
-    model = ptt.compress(small_raw, None, ranks=(2, 4, 4))
+    model = ptt.compress(small_raw, None, small_brdf())
     u = ptt.TransferRelighter(model).incident(environment)
     grid = model.grid
     visible = transfer.unpack(small_raw.visible, grid.cells)
@@ -103,7 +106,7 @@ def test_wavelet_sums_equal_texel_sums(small_raw: ptt.RawTransfer) -> None:
 
 
 def test_truncation_error_is_what_is_left_out(small_raw: ptt.RawTransfer) -> None:
-    whole, part = (ptt.compress(small_raw, k, ranks=(2, 4, 4)) for k in (None, 40))
+    whole, part = (ptt.compress(small_raw, k, small_brdf()) for k in (None, 40))
     dense, kept = (haar.Truncated(m.index, m.value).to_dense(m.grid.cells) for m in (whole, part))
     assert part.truncation_error == pytest.approx(float((dense - kept).norm() / dense.norm()), rel=1e-3)
 
@@ -115,5 +118,3 @@ def test_refusals(small_scene: ptt.Scene, small_raw: ptt.RawTransfer) -> None:
         ptt.precompute(small_scene, 2, index=torch.tensor([3, 2]))
     with pytest.raises(ValueError, match=r"coefficients must be in 6..1536, got 0"):
         ptt.compress(small_raw, 0)
-    with pytest.raises(ValueError, match=r"ranks must be in 1\.\.length"):
-        ptt.compress(small_raw, ranks=(4, 0, 8))

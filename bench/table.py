@@ -1,0 +1,90 @@
+"""Results as rows of bench/results/<topic>.csv, and the tables of README and docs that are drawn from them.
+
+python -m bench.table        # redraw every table between `<!-- table: topic prefix -->` and `<!-- end -->`
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+import statistics
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+
+ROOT = Path(__file__).resolve().parent.parent
+COLUMNS = ("what", "value", "unit", "goal", "paper", "peer", "limit", "how")
+
+
+class Table:
+    """The rows of one topic; `write` replaces the file."""
+
+    def __init__(self, topic: str) -> None:
+        self.path = ROOT / "bench" / "results" / f"{topic}.csv"
+        self.rows: list[dict[str, str]] = []
+
+    def row(self, what: str, value: float, unit: str, how: str, goal: str = "", **others: str) -> None:
+        """One figure. goal: "<= x" or ">= x"; others: paper, peer, limit."""
+        row = {"what": what, "value": f"{value:.4g}", "unit": unit, "goal": goal, **others, "how": how}
+        self.rows.append({column: row.get(column, "") for column in COLUMNS})
+        print(f"{what}: {value:.4g} {unit} {f'(goal {goal})' if goal else ''}", flush=True)
+
+    def write(self) -> None:
+        """Replace the topic's file."""
+        self.path.parent.mkdir(exist_ok=True)
+        with self.path.open("w", newline="") as file:
+            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(self.rows)
+
+
+def median_seconds(function: Callable[[], object], repeats: int = 7) -> float:
+    """Median time of a call, after one that is not counted."""
+    function()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def read_bandwidth() -> float:
+    """Bytes a second that a sum over 400 MB reads: the machine's limit, as this process sees it."""
+    data = torch.ones(100_000_000)
+    return 4e8 / median_seconds(lambda: data.sum(), 5)
+
+
+def setting() -> str:
+    """Threads, torch and commit: what every timing depends on."""
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
+    return f"{torch.get_num_threads()} threads, torch {torch.__version__}, commit {commit.stdout.strip() or 'none'}"
+
+
+def draw(text: str) -> str:
+    """Markdown with the tables between its markers drawn anew."""
+
+    def table(match: re.Match[str]) -> str:
+        topic, prefix = match[1], match[2] or ""
+        with (ROOT / "bench" / "results" / f"{topic}.csv").open() as file:
+            rows = [row for row in csv.DictReader(file) if row["what"].startswith(prefix)]
+        shown = [c for c in COLUMNS if c not in ("how", "unit") and any(row[c] for row in rows)]
+        lines = ["| " + " | ".join(shown) + " |", "|" + "---|" * len(shown)]
+        for row in rows:
+            row["value"] = f"{row['value']} {row['unit']}".strip()
+            lines.append("| " + " | ".join(row[c] for c in shown) + " |")
+        return f"<!-- table: {topic}{' ' + prefix if prefix else ''} -->\n" + "\n".join(lines) + "\n<!-- end -->"
+
+    return re.sub(r"<!-- table: (\w+)(?: ([^>]+?))? -->\n.*?<!-- end -->", table, text, flags=re.DOTALL)
+
+
+def main() -> None:
+    for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+        path.write_text(draw(path.read_text()))
+
+
+if __name__ == "__main__":
+    main()
