@@ -15,7 +15,9 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import torch
@@ -30,6 +32,7 @@ from ptt.meshes import Part
 from ptt.ops import mesh
 from ptt.ops.sphere import Cube
 
+STEPS = count()  # no two frames are alike
 IMAGES = ROOT / "docs" / "images"
 FAR = torch.tensor([0.0, 50.0, 0.0])
 
@@ -168,17 +171,15 @@ def speed(table: Table, data: Path, stride: int) -> None:
         relighter = ptt.TransferRelighter(model, compiled=compiled)
         relighter(light, {name: glossy}, camera)
         eyes = iter([camera.orbited(k) for k in range(1, 200)])
-        exponents = iter(range(1000))
-        turns = iter(range(1000))
 
-        def view(r: ptt.TransferRelighter = relighter) -> Tensor:
+        def view(r: ptt.TransferRelighter = relighter, eyes: Iterator[ptt.Camera] = eyes) -> Tensor:
             return r(light, {name: glossy}, next(eyes))
 
-        def brdf(r: ptt.TransferRelighter = relighter) -> Tensor:
-            return r(light, {name: ptt.blinn_phong(0.3, 0.4, 20 + next(exponents) / 100)}, camera)
+        def brdf(r: ptt.TransferRelighter = relighter, steps: Iterator[int] = STEPS) -> Tensor:
+            return r(light, {name: ptt.blinn_phong(0.3, 0.4, 20 + next(steps) / 100)}, camera)
 
-        def lighting(r: ptt.TransferRelighter = relighter) -> Tensor:
-            return r(light.rotated(y=next(turns)), {name: glossy}, camera)
+        def lighting(r: ptt.TransferRelighter = relighter, steps: Iterator[int] = STEPS) -> Tensor:
+            return r(light.rotated(y=next(steps)), {name: glossy}, camera)
 
         form, o, i = "compiled" if compiled else "eager", 25, 25
         for what, function, read in (

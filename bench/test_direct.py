@@ -83,9 +83,7 @@ def test_relit_frame(benchmark: Any, scene: ptt.Scene, model: ptt.TransferModel,
     frame()  # compiles
     benchmark(frame)
     exact = ptt.TransferRelighter(
-        ptt.TransferModel(
-            model.receivers, model.brdf, model.resolution, model.index, model.value, model.truncation_error
-        )
+        ptt.TransferModel(model.receivers, model.brdf, model.resolution, model.t0, model.truncation_error)
     ).double()(light, scene.materials, camera)
     model.float()
     error = ptt.relative_rmse(relighter(light, scene.materials, camera), exact)

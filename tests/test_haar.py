@@ -60,3 +60,15 @@ def test_truncation_refuses_counts_out_of_range(keep: int) -> None:
 def test_other_sizes_are_refused(shape: tuple[int, int]) -> None:
     with pytest.raises(ValueError, match="equal powers of two"):
         haar.analyse(torch.zeros(shape))
+
+
+def test_weights_choose_and_do_not_change_what_is_kept() -> None:
+    x = torch.tensor([1.0, 2.0, 3.0, 4.0])
+    kept = haar.truncate(x, 2, torch.tensor([9.0, 1.0, 1.0, 1.0]))
+    assert kept.indices.tolist() == [0, 3] and kept.values.tolist() == [1.0, 4.0]
+
+
+def test_support_is_where_a_basis_function_is_not_zero() -> None:
+    basis = haar.synthesise(torch.eye(64, dtype=torch.float64).reshape(64, 8, 8))
+    sides = (basis != 0).flatten(1).sum(1).double().sqrt() / 8
+    assert torch.equal(sides, haar.support(8).flatten())

@@ -60,9 +60,10 @@ def test_missing_extra_misshapen_and_non_finite_tensors(path: Path) -> None:
         ({k: t for k, t in tensors.items() if k != "brdf.core"}, "lacks the tensor brdf.core"),
         (tensors | {"more": torch.zeros(1)}, "unknown tensors: more"),
         (tensors | {"frames": torch.zeros(v, 3)}, rf"frames must be torch.float32 \({v}, 3, 3\)"),
-        (tensors | {"value": tensors["value"].half()}, "value must be torch.float32"),
+        (tensors | {"values": tensors["values"].half()}, "values must be torch.float32"),
         (tensors | {"colours": tensors["colours"] / 0}, "colours holds values that are not finite"),
-        (tensors | {"index": tensors["index"] + 30000}, r"index must be in 0..1535"),
+        (tensors | {"columns": tensors["columns"] + 30000}, r"columns must be in 0..1535"),
+        (tensors | {"kept": tensors["kept"] + 1}, "kept must be at least 0 and sum to"),
     ]
     for changed, message in cases:
         edit(path, header, changed)

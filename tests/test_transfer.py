@@ -9,7 +9,7 @@ import torch
 
 import ptt
 from ptt.meshes import Part
-from ptt.ops import haar, mesh, transfer
+from ptt.ops import mesh, transfer
 from ptt.ops.sphere import Cube
 
 
@@ -107,7 +107,7 @@ def test_wavelet_sums_equal_texel_sums(small_raw: ptt.RawTransfer) -> None:
 
 def test_truncation_error_is_what_is_left_out(small_raw: ptt.RawTransfer) -> None:
     whole, part = (ptt.compress(small_raw, k, small_brdf()) for k in (None, 40))
-    dense, kept = (haar.Truncated(m.index, m.value).to_dense(m.grid.cells) for m in (whole, part))
+    dense, kept = (m.transfer().to_dense() for m in (whole, part))
     assert part.truncation_error == pytest.approx(float((dense - kept).norm() / dense.norm()), rel=1e-3)
 
 

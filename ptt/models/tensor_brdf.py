@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -70,6 +71,16 @@ class TensorBRDF(nn.Module):
         """The core of one shape (o, i): f(wi, wo) = outgoing(wo) . matrix . incident(wi)."""
         coordinates = self.space.coordinates(shape).to(self.core) @ self.u_h
         return torch.einsum("h,hoi->oi", coordinates, self.core)
+
+    def importance(self) -> Tensor:
+        """How much each incident factor adds to the picture (1 + i,), the diffuse one first.
+
+        Root mean square, over outgoing directions and the samples of the space, of what a unit of it sends out at
+        albedo 1 and specular weight 1. The outgoing factors are orthonormal on the disk, whose area is pi.
+        """
+        matrices = torch.einsum("sh,hoi->soi", self.u_h, self.core)
+        specular = matrices.square().sum(1).mean(0).div(math.pi).sqrt()
+        return torch.cat((specular.new_tensor([1 / math.pi]), specular))
 
     def outgoing(self, wo: Tensor) -> Tensor:
         """Outgoing factors (o, v) of local directions (v, 3); below the horizon those of the mirror image above."""

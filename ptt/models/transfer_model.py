@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from os import PathLike
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -12,42 +13,77 @@ from torch import Tensor, nn
 from ptt import saved
 from ptt.materials import BlinnPhongSpace
 from ptt.models.tensor_brdf import TensorBRDF
+from ptt.ops.haar import Truncated
 from ptt.ops.sphere import Cube
 from ptt.receivers import Receivers
 
 KIND = "transfer model"
 
 
+class SparseTransfer(NamedTuple):
+    """T0 with few coefficients, row by row: rows (i, v) in this order, columns l ascending.
+
+    kept (i, v) int32: coefficients in each row
+    columns (n,) int16 or int32: their positions l
+    values (n,): themselves [sr]
+    """
+
+    kept: Tensor
+    columns: Tensor
+    values: Tensor
+
+    @classmethod
+    def of(cls, truncated: Truncated, factors: int, length: int) -> SparseTransfer:
+        """From positions i * l and values (v, k)."""
+        factor, column = truncated.indices // length, truncated.indices % length
+        order = factor.flatten().sort(stable=True).indices
+        row = factor + factors * torch.arange(len(factor))[:, None]
+        kept = torch.bincount(row.flatten(), minlength=factors * len(factor)).reshape(-1, factors).T
+        small = torch.int16 if length <= 1 << 15 else torch.int32
+        return cls(kept.int(), column.flatten()[order].to(small), truncated.values.flatten()[order])
+
+    @classmethod
+    def cat(cls, parts: Sequence[SparseTransfer]) -> SparseTransfer:
+        """Those of several blocks of points, one after the other."""
+        kept = torch.cat([part.kept for part in parts], 1)
+        sizes = [part.kept.sum(1).tolist() for part in parts]
+        columns = zip(*(part.columns.split(n) for part, n in zip(parts, sizes, strict=True)), strict=True)
+        values = zip(*(part.values.split(n) for part, n in zip(parts, sizes, strict=True)), strict=True)
+        return cls(kept, torch.cat([c for row in columns for c in row]), torch.cat([x for row in values for x in row]))
+
+    def to_csr(self, length: int) -> Tensor:
+        """A sparse CSR matrix (i * v, l)."""
+        starts = nn.functional.pad(self.kept.flatten().cumsum(0), (1, 0)).int()
+        size = self.kept.numel(), length
+        with torch.sparse.check_sparse_tensor_invariants(enable=False), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Sparse CSR tensor support is in beta")
+            return torch.sparse_csr_tensor(starts, self.columns.int(), self.values, size=size)
+
+
 class TransferModel(nn.Module):
     """T0 in the Haar basis of a cube map, truncated, with the receivers and the BRDF tensor that it belongs to.
 
-    receivers: names, counts, default materials of the regions
-    index (i, v, k) int16: cube map coefficients kept for each incident factor and point; factor 0 is diffuse
-    value (i, v, k) float32: their values [sr]
+    receivers: names, counts and default materials of the regions
+    kept, columns, values: of the `SparseTransfer`; factor 0 is diffuse
     positions (v, 3), frames (v, 3, 3), colours (v, 3): of the receivers
     resolution: cells along an edge of the cube map
     truncation_error: relative L2 error of T0 that leaving out the other coefficients makes
     """
 
-    index: Tensor
-    value: Tensor
+    kept: Tensor
+    columns: Tensor
+    values: Tensor
     positions: Tensor
     frames: Tensor
     colours: Tensor
 
     def __init__(
-        self,
-        receivers: Receivers,
-        brdf: TensorBRDF,
-        resolution: int,
-        index: Tensor,
-        value: Tensor,
-        truncation_error: float,
+        self, receivers: Receivers, brdf: TensorBRDF, resolution: int, t0: SparseTransfer, truncation_error: float
     ) -> None:
         super().__init__()
         self.receivers, self.resolution, self.brdf = receivers, resolution, brdf
         self.truncation_error = truncation_error
-        for name, tensor in {"index": index, "value": value, **receivers.tensors()}.items():
+        for name, tensor in {**t0._asdict(), **receivers.tensors()}.items():
             self.register_buffer(name, tensor)
 
     @property
@@ -62,19 +98,13 @@ class TransferModel(nn.Module):
 
     def transfer(self) -> Tensor:
         """T0 as a sparse CSR matrix (i * v, l), rows ordered (i, v)."""
-        i, v, k = self.value.shape
-        starts = torch.arange(0, i * v * k + 1, k, dtype=torch.int32, device=self.value.device)
-        with torch.sparse.check_sparse_tensor_invariants(enable=False), warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Sparse CSR tensor support is in beta")
-            return torch.sparse_csr_tensor(
-                starts, self.index.flatten().int(), self.value.flatten(), size=(i * v, self.grid.cells)
-            )
+        return SparseTransfer(self.kept, self.columns, self.values).to_csr(self.grid.cells)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write a safetensors file with the config in its header."""
         config = {
             "resolution": self.resolution,
-            "kept": self.value.shape[2],
+            "coefficients": len(self.values),
             "truncation_error": self.truncation_error,
             "ranks": list(self.brdf.core.shape),
             "disk": self.brdf.u_i.shape[1],
@@ -93,29 +123,31 @@ class TransferModel(nn.Module):
         config, tensors = saved.load(path, KIND)
         with saved.describing(path):
             saved.check(path, tensors, _expected(config))
-            cells = Cube(config["resolution"]).cells
-            if int(tensors["index"].min()) < 0 or int(tensors["index"].max()) >= cells:
-                raise ValueError(f"{path}: index must be in 0..{cells - 1}")
+            t0 = SparseTransfer(*(tensors[name] for name in SparseTransfer._fields))
+            _check_rows(path, t0, Cube(config["resolution"]).cells)
             parts = {name.removeprefix("brdf."): t for name, t in tensors.items() if name.startswith("brdf.")}
-            return cls(
-                Receivers.restore(config, tensors),
-                TensorBRDF(BlinnPhongSpace(tuple(config["exponents"])), **parts),
-                config["resolution"],
-                tensors["index"],
-                tensors["value"],
-                config["truncation_error"],
-            )
+            brdf = TensorBRDF(BlinnPhongSpace(tuple(config["exponents"])), **parts)
+            receivers = Receivers.restore(config, tensors)
+            return cls(receivers, brdf, config["resolution"], t0, config["truncation_error"])
+
+
+def _check_rows(path: str | PathLike[str], t0: SparseTransfer, length: int) -> None:
+    """A wrong row or column would read foreign memory."""
+    if int(t0.kept.min()) < 0 or int(t0.kept.sum()) != len(t0.columns):
+        raise ValueError(f"{path}: kept must be at least 0 and sum to {len(t0.columns)}, got {int(t0.kept.sum())}")
+    if int(t0.columns.min()) < 0 or int(t0.columns.max()) >= length:
+        raise ValueError(f"{path}: columns must be in 0..{length - 1}")
 
 
 def _expected(config: dict[str, Any]) -> saved.Shapes:
     h, o, i = config["ranks"]
-    n, k = config["disk"], config["kept"]
+    n, count, samples = config["disk"], config["coefficients"], len(config["exponents"])
     v = sum(region["points"] for region in config["regions"])
-    cells = Cube(config["resolution"]).cells
-    samples = len(config["exponents"])
+    small = torch.int16 if Cube(config["resolution"]).cells <= 1 << 15 else torch.int32
     return {
-        "index": (torch.int16 if cells <= 1 << 15 else torch.int32, (1 + i, v, k)),
-        "value": (torch.float32, (1 + i, v, k)),
+        "kept": (torch.int32, (1 + i, v)),
+        "columns": (small, (count,)),
+        "values": (torch.float32, (count,)),
         "brdf.core": (torch.float32, (h, o, i)),
         "brdf.u_h": (torch.float32, (samples, h)),
         "brdf.u_o": (torch.float32, (o, n, n)),

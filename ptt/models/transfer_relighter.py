@@ -64,7 +64,7 @@ class TransferRelighter(nn.Module):
         def compute() -> Tensor:
             texels = environment.project(self.model.grid).to(self.t0)  # shape: (6, n, n, c)
             lighting = haar.analyse(texels.movedim(-1, 0)).flatten(1).T.contiguous()
-            return relight.light_step(self.t0, lighting, len(self.model.value))
+            return relight.light_step(self.t0, lighting, len(self.model.kept))
 
         return self._incident((environment, self.t0), compute)
 

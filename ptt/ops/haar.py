@@ -68,25 +68,31 @@ class Truncated(NamedTuple):
         return dense.scatter(-1, self.indices.long(), self.values)
 
 
-def truncate(coefficients: Tensor, keep: int, always: Tensor | None = None) -> Truncated:
+def truncate(coefficients: Tensor, keep: int, weights: Tensor | None = None) -> Truncated:
     """Non-linear approximation of coefficients (..., l): the `keep` largest magnitudes, the best in the L2 norm.
 
-    always (a,): positions that are kept whatever their magnitude, e.g. the means, so that constants stay exact
+    weights (l,): of the magnitudes, >= 0; default 1. With the standard deviation that the other factor of a product
+        is expected to have in each coefficient, the choice is the best for the product
 
     Raises:
-        ValueError: keep is not in 1..l, or less than a.
+        ValueError: keep is not in 1..l.
     """
     length = coefficients.shape[-1]
-    least = 1 if always is None else len(always)
-    if not least <= keep <= length:
-        raise ValueError(f"keep must be in {least}..{length}, got {keep}")
+    if not 1 <= keep <= length:
+        raise ValueError(f"keep must be in 1..{length}, got {keep}")
     if keep == length:
         return Truncated(torch.arange(length, dtype=torch.int32).expand(coefficients.shape), coefficients)
-    magnitude = coefficients.abs()
-    if always is not None:
-        magnitude[..., always] = torch.inf
-    index = magnitude.topk(keep, dim=-1, sorted=False).indices.sort(dim=-1).values
-    return Truncated(index.int(), coefficients.gather(-1, index))
+    magnitude = coefficients.abs() if weights is None else coefficients.abs().mul_(weights)
+    indices = magnitude.topk(keep, dim=-1, sorted=False).indices.sort(dim=-1).values
+    return Truncated(indices.int(), coefficients.gather(-1, indices))
+
+
+def support(n: int) -> Tensor:
+    """Side of the square (n, n) on which each basis function differs from zero, as a share of the grid's, float64."""
+    side = torch.ones(n, dtype=torch.float64)
+    for first in (1 << j for j in range(n.bit_length() - 1)):
+        side[first : 2 * first] = 1 / first
+    return torch.minimum(side, side[:, None])
 
 
 def _side(values: Tensor) -> int:
