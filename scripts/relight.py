@@ -59,6 +59,15 @@ def main() -> None:
     scene = load_scene(config.scene)
     light = load_light(config.environment, scene)
     camera = replace(scene.camera, width=config.width, height=config.height)
+
+    # what is edited
+    names = [region.name for region in scene.regions]
+    region = config.region or names[min(1, len(names) - 1)]
+    edited = ptt.blinn_phong(config.diffuse, config.specular, config.exponent)
+    scene.region_index(region)  # an unknown name, or a shape that no model shows, ends it before the long work
+    ptt.BlinnPhongSpace().coordinates(edited.shape)
+
+    # trace and compress, or load
     if config.model is None:
         raw = ptt.precompute(scene, progress=True)
         model = ptt.compress(raw, config.coefficients, progress=True)
@@ -66,10 +75,6 @@ def main() -> None:
         model = ptt.TransferModel.load(config.model)
     relighter = ptt.TransferRelighter(model)
 
-    # what is edited
-    names = [region.name for region in scene.regions]
-    region = config.region or names[min(1, len(names) - 1)]
-    edited = ptt.blinn_phong(config.diffuse, config.specular, config.exponent)
     states = {
         "before": (light, scene.materials, camera),
         "material": (light, scene.materials | {region: edited}, camera),
