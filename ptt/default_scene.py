@@ -11,6 +11,7 @@ from ptt.environment import Environment
 from ptt.materials import blinn_phong
 from ptt.meshes import Part, transformed
 from ptt.ops import mesh
+from ptt.ops.sphere import turn
 from ptt.scene import Camera, Scene
 
 GAP = 0.004  # between the floor and what stands on it
@@ -46,13 +47,10 @@ def _knot() -> tuple[Tensor, Tensor]:
     return mesh.tube_mesh(path, 0.15, 14)
 
 
-def _standing(part: Part, lean: float, turn: float, place: tuple[float, float]) -> Part:
+def _standing(part: Part, lean: float, around: float, place: tuple[float, float]) -> Part:
     """The part leant about x and turned about y [degrees], standing on the floor at (x, z)."""
-    a, b = math.radians(lean), math.radians(turn)
-    tilt = torch.tensor([[1, 0, 0], [0, math.cos(a), -math.sin(a)], [0, math.sin(a), math.cos(a)]])
-    spin = torch.tensor([[math.cos(b), 0, math.sin(b)], [0, 1, 0], [-math.sin(b), 0, math.cos(b)]])
     matrix = torch.eye(4, dtype=torch.float64)
-    matrix[:3, :3] = spin.double() @ tilt.double()
+    matrix[:3, :3] = turn(1, around) @ turn(0, lean)
     lowest = float((part.vertices.double() @ matrix[:3, :3].T)[:, 1].min())
     matrix[:3, 3] = torch.tensor([place[0], GAP - lowest, place[1]])
     return transformed(part, matrix)

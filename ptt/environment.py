@@ -13,25 +13,20 @@ integral is the texels' sum by solid angle, but for the first and the last row, 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import ceil, cos, pi, radians, sin
+from math import ceil, pi, radians, sin
 from os import PathLike
-from typing import Literal
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from ptt.io import read_image
-from ptt.ops.sphere import Grid, LatLong
+from ptt.map_layouts import Layout, to_latlong
+from ptt.ops import latlong
+from ptt.ops.sphere import Grid, LatLong, turn
 
-Layout = Literal["auto", "latlong", "cross", "angular"]
-"""How an image holds the sphere; "auto" decides by width : height.
-
-latlong (2:1): as `LatLong`. cross (3:4): vertical, from the top +Y; -X -Z +X; -Y; +Z upside down.
-angular (1:1): direction (sin(pi r) a / r, sin(pi r) b / r, -cos(pi r)), a right, b up, r = |(a, b)| <= 1.
-"""
 Colour = float | Sequence[float] | Tensor
 """Red, green and blue, or one number for grey; finite and >= 0."""
 
@@ -82,7 +77,7 @@ class Environment:
         if negative:
             message = f"{path}: {negative} of {image.numel()} values were negative and became 0"
             warnings.warn(message, stacklevel=2)
-        return cls(_to_latlong(image.clamp(min=0), layout, path))
+        return cls(to_latlong(image.clamp(min=0), layout, path))
 
     @classmethod
     def constant(cls, radiance: Colour = 1.0) -> Environment:
@@ -111,7 +106,7 @@ class Environment:
 
         Texels on the rim are covered in part; the integral is exactly that of the cap, 2 pi (1 - cos radius).
         """
-        return cls(_cap(direction, radius)[..., None] * _colour("radiance", radiance))
+        return cls(latlong.cap(_direction(direction), radius, *_SIZE)[..., None] * _colour("radiance", radiance))
 
     @classmethod
     def sun_sky(
@@ -136,7 +131,7 @@ class Environment:
 
     def rotated(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Environment:
         """The environment turned by degrees about the world axes, first x, then y, then z; right-handed."""
-        return replace(self, rotation=_turn(2, z) @ _turn(1, y) @ _turn(0, x) @ self.rotation)
+        return replace(self, rotation=turn(2, z) @ turn(1, y) @ turn(0, x) @ self.rotation)
 
     def scaled(self, factor: Colour) -> Environment:
         """The environment with its radiance multiplied by `factor`."""
@@ -148,7 +143,7 @@ class Environment:
         height, width = self.map.shape[:2]
         u = torch.atan2(x, -z) * (width / (2 * pi)) % width
         v = torch.atan2(torch.hypot(x, z), y) * (height / pi)
-        return _bilinear(_surrounded(self.map), u + 1, v + 1)
+        return latlong.bilinear(latlong.surrounded(self.map), u + 1, v + 1)
 
     def project(self, grid: Grid) -> Tensor:
         """Mean radiance of each cell (*grid.shape, 3), by solid angle.
@@ -162,12 +157,12 @@ class Environment:
         while grid.cells * light._samples(spacing) ** 2 > _LOOKUPS and light._may_halve(spacing):
             light = light._halved()
         samples = light._samples(spacing)
-        even = replace(light, map=_even_rows(light.map, 3 * spacing / samples))
+        even = replace(light, map=latlong.even_rows(light.map, 3 * spacing / samples))
         return grid.means(even.radiance, samples)
 
     def integral(self) -> Tensor:
         """Integral of the radiance over the sphere (3,) [map's units x sr], exact for the interpolant."""
-        weights = _texel_weights(*self.map.shape[:2]).to(self.map)
+        weights = latlong.texel_weights(*self.map.shape[:2]).to(self.map)
         return torch.einsum("h,hwc->c", weights, self.map)
 
     def sampler(self) -> EnvironmentSampler:
@@ -187,7 +182,7 @@ class Environment:
 
     def _halved(self) -> Environment:
         columns = (self.map[:, ::2] + self.map[:, 1::2]) / 2
-        rows = _halving(self.map.shape[0]).to(self.map)
+        rows = latlong.halving(self.map.shape[0]).to(self.map)
         return replace(self, map=torch.einsum("rh,hwc->rwc", rows, columns))
 
 
@@ -214,7 +209,7 @@ class EnvironmentSampler:
         """Tables for a map (height, width, 3) and its rotation."""
         height, width = radiance.shape[:2]
         areas = LatLong(height, width).solid_angles().to(radiance.device)
-        mean = _texel_means(radiance.double() @ radiance.new_tensor((0.2126, 0.7152, 0.0722)).double())
+        mean = latlong.texel_means(radiance.double() @ radiance.new_tensor((0.2126, 0.7152, 0.0722)).double())
         mean = mean.clamp(min=0) if bool((mean > 0).any()) else torch.ones_like(mean)
         density = mean / (mean * areas).sum()
         mass = density * areas
@@ -260,180 +255,6 @@ def _invert(cumulative: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
     index = torch.searchsorted(cumulative, u, right=True) - 1
     below, above = cumulative[index], cumulative[index + 1]
     return index, ((u - below) / (above - below)).clamp(0, 1)
-
-
-def _surrounded(texels: Tensor) -> Tensor:
-    """Texels (h, w, ...) with one more all around: the next ones across the poles and around in u."""
-    half = texels.shape[1] // 2
-    texels = torch.cat((texels[:1].roll(half, 1), texels, texels[-1:].roll(half, 1)))
-    return torch.cat((texels[:, -1:], texels, texels[:, :1]), dim=1)
-
-
-def _texel_means(texels: Tensor) -> Tensor:
-    """Mean over each texel (h, w) of the bilinear interpolant: weights 1/8, 3/4, 1/8 along each axis."""
-    t = _surrounded(texels)
-    t = (t[:-2] + 6 * t[1:-1] + t[2:]) / 8
-    return (t[:, :-2] + 6 * t[:, 1:-1] + t[:, 2:]) / 8
-
-
-def _texel_weights(height: int, width: int) -> Tensor:
-    """Integral over the sphere of the interpolant of one texel of each row (height,) [sr], float64.
-
-    With step d, the integral of (1 - |t - t0| / d) sin t dt is 4 sin(d/2)^2 sin(t0) / d. The first and the
-    last row reach across a pole, where |sin t| adds 1 - 2 sin(d/2) / d: for small d, 1/24 d^2 to 1/2 d^2.
-    """
-    step = pi / height
-    rows = 4 * sin(step / 2) ** 2 / step * torch.sin((torch.arange(height, dtype=torch.float64) + 0.5) * step)
-    rows[0] += 1 - 2 * sin(step / 2) / step
-    rows[-1] += 1 - 2 * sin(step / 2) / step
-    return rows * (2 * pi / width)
-
-
-def _halving(height: int) -> Tensor:
-    """Averages of rows (height / 2, height) that preserve constants and the interpolant's integral.
-
-    Rows as intervals of accumulated weight: each new row takes from the old ones that its interval overlaps.
-    """
-    new, old = (F.pad(_texel_weights(h, h).cumsum(0) * h, (1, 0)) for h in (height // 2, height))
-    upper, lower = torch.minimum(new[1:, None], old[1:]), torch.maximum(new[:-1, None], old[:-1])
-    return (upper - lower).clamp(min=0) / new.diff()[:, None]
-
-
-def _even_rows(texels: Tensor, arc: float) -> Tensor:
-    """Texels (h, w, 3), blurred along rows by a tent of about `arc` [radians] where texels are narrower."""
-    height, width = texels.shape[:2]
-    angles = (torch.arange(height).to(texels.device).double() + 0.5) * (pi / height)
-    widths = arc / (torch.sin(angles) * (2 * pi / width))
-    return _box(_box(texels, widths), widths - 1)  # the interpolation is a third box, of width 1
-
-
-def _box(texels: Tensor, widths: Tensor) -> Tensor:
-    """Means (h, w, 3) along rows over `widths` (h,) texels, at least 1 and at most the row."""
-    width = texels.shape[1]
-    reach = widths.clamp(1, width)[:, None] / 2
-    middle = torch.arange(width).to(reach) + 0.5
-    sums = F.pad(texels.double().cumsum(1), (0, 0, 1, 0))
-    means = (_cumulated(sums, middle + reach) - _cumulated(sums, middle - reach)) / (2 * reach)[..., None]
-    return means.to(texels)
-
-
-def _cumulated(sums: Tensor, x: Tensor) -> Tensor:
-    """Periodic running sums (h, w + 1, 3), linear in between, at columns x (h, w): (h, w, 3)."""
-    width = sums.shape[1] - 1
-    turns, column = torch.div(x, width, rounding_mode="floor"), (x % width).floor()
-    index = column.long().clamp(max=width - 1)[..., None].expand(-1, -1, 3)
-    below, above = sums.gather(1, index), sums.gather(1, index + 1)
-    return below + (above - below) * (x % width - column)[..., None] + turns[..., None] * sums[:, -1:]
-
-
-def _bilinear(image: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Image (h, w, 3) at x, y (...), counted in texels from its upper left corner: (..., 3)."""
-    where = torch.stack((x * (2 / image.shape[1]) - 1, y * (2 / image.shape[0]) - 1), dim=-1)
-    values = F.grid_sample(
-        image.movedim(-1, 0)[None], where.reshape(1, -1, 1, 2), padding_mode="border", align_corners=False
-    )
-    return values[0, :, :, 0].T.reshape(*x.shape, 3)
-
-
-def _same(image: Tensor) -> Tensor:
-    return image
-
-
-def _from_cross(image: Tensor) -> Tensor:
-    n = image.shape[1] // 3
-    axes = torch.tensor(_CROSS_AXES, dtype=torch.float32)  # shape: (face, axis, 3)
-    corners = torch.tensor(_CROSS_CORNERS)
-
-    def lookup(directions: Tensor) -> Tensor:
-        face = (directions @ axes[:, 0].T).argmax(-1)
-        ahead, right, down = (axes[face] @ directions[..., None])[..., 0].unbind(-1)
-        column, row = corners[face].unbind(-1)
-        x = ((right / ahead + 1) * (n / 2)).clamp(0.5, n - 0.5) + column * n
-        y = ((down / ahead + 1) * (n / 2)).clamp(0.5, n - 0.5) + row * n
-        return _bilinear(image, x.to(image), y.to(image))
-
-    return LatLong(2 * n, 4 * n).means(lookup, 2)
-
-
-_CROSS_AXES = (  # ahead, right, down
-    ((0, 1, 0), (1, 0, 0), (0, 0, -1)),
-    ((-1, 0, 0), (0, 0, -1), (0, -1, 0)),
-    ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
-    ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
-    ((0, -1, 0), (1, 0, 0), (0, 0, 1)),
-    ((0, 0, 1), (1, 0, 0), (0, 1, 0)),
-)
-_CROSS_CORNERS = ((1, 0), (0, 1), (1, 1), (2, 1), (1, 2), (1, 3))  # column, row
-
-
-def _from_angular(image: Tensor) -> Tensor:
-    n = image.shape[0]
-    rim = max(0.0, 1 - 8**0.5 / n)  # beyond, the interpolation would reach outside the disc
-
-    def lookup(directions: Tensor) -> Tensor:
-        x, y, z = directions.unbind(-1)
-        sine = torch.hypot(x, y)
-        r = (torch.atan2(sine, -z) / pi).clamp(max=rim) / sine.clamp(min=1e-12)
-        return _bilinear(image, ((1 + r * x) * (n / 2)).to(image), ((1 - r * y) * (n / 2)).to(image))
-
-    return LatLong((n + 1) // 2, 2 * ((n + 1) // 2)).means(lookup, 3)
-
-
-_LAYOUTS: dict[str, tuple[int, int, Callable[[Tensor], Tensor]]] = {
-    "latlong": (2, 1, _same),
-    "cross": (3, 4, _from_cross),
-    "angular": (1, 1, _from_angular),
-}
-
-
-def _to_latlong(image: Tensor, layout: str, path: str | PathLike[str]) -> Tensor:
-    if layout not in ("auto", *_LAYOUTS):
-        raise ValueError(f"layout must be one of auto, {', '.join(_LAYOUTS)}, got {layout!r}")
-    height, width = image.shape[:2]
-    allowed = _LAYOUTS if layout == "auto" else {layout: _LAYOUTS[layout]}
-    for across, down, convert in allowed.values():
-        if width * down == height * across:
-            return convert(image).contiguous()
-    shapes = ", ".join(f"{across}:{down} ({name})" for name, (across, down, _) in allowed.items())
-    raise ValueError(f"{path}: width:height must be {shapes}, got {width} x {height}")
-
-
-def _cap(direction: Sequence[float] | Tensor, radius: float) -> Tensor:
-    """Coverage of texels (*_SIZE) by a cap of `radius` degrees, scaled so that its integral is the cap's.
-
-    On a parallel of polar angle t, a cap at polar angle t0 covers the azimuths within
-    acos((cos radius - cos t cos t0) / (sin t sin t0)) of its own: exact along rows, 32 midpoints across.
-    """
-    if not 0 < radius <= 180:
-        raise ValueError(f"radius must satisfy 0 < radius <= 180 degrees, got {radius}")
-    x, y, z = _direction(direction).unbind()
-    rho, middle, azimuth = radians(radius), torch.atan2(torch.hypot(x, z), y), torch.atan2(x, -z)
-    height, width = _SIZE
-    edges = torch.linspace(0, pi, height + 1, dtype=torch.float64).clamp(middle - rho, middle + rho)
-    steps = edges.diff()[:, None] / 32
-    t = edges[:-1, None] + steps * (torch.arange(32, dtype=torch.float64) + 0.5)
-    cosine = (cos(rho) - t.cos() * middle.cos()) / (t.sin() * middle.sin()).clamp(min=1e-15)
-    arcs = _arc_overlap(cosine.clamp(-1, 1).acos(), azimuth, width)
-    covered = (arcs * (steps * t.sin())[..., None]).sum(1) / LatLong(height, width).solid_angles()
-    integral = _texel_weights(height, width) @ covered.sum(1)
-    return (covered * (2 * pi * (1 - cos(rho)) / integral)).float()
-
-
-def _arc_overlap(half: Tensor, azimuth: Tensor, width: int) -> Tensor:
-    """How much of each of `width` columns (..., width) the arcs azimuth +- half (...) cover [radians]."""
-    edges = torch.arange(width + 1, dtype=torch.float64) * (2 * pi / width) - azimuth
-    turns = (edges / (2 * pi)).round()
-    half = half[..., None]
-    within = (edges - 2 * pi * turns).clamp(-half, half)
-    return (within + 2 * turns * half).diff(dim=-1)
-
-
-def _turn(axis: int, degrees: float) -> Tensor:
-    matrix = torch.eye(3, dtype=torch.float64)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    c, s = cos(radians(degrees)), sin(radians(degrees))
-    matrix[i, i], matrix[i, j], matrix[j, i], matrix[j, j] = c, -s, s, c
-    return matrix
 
 
 def _colour(name: str, value: Colour) -> Tensor:

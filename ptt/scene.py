@@ -16,6 +16,7 @@ from ptt.materials import Material
 from ptt.meshes import Part, prepare
 from ptt.ops import mesh
 from ptt.ops.raycast import Surface
+from ptt.ops.sphere import turn
 
 if TYPE_CHECKING:
     from ptt.environment import Environment
@@ -60,10 +61,9 @@ class Camera:
 
     def orbited(self, degrees: float) -> Camera:
         """The camera turned about the vertical axis through its target; positive = right-handed."""
-        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-        x, y, z = (e - t for e, t in zip(self.eye, self.target, strict=True))
-        eye = (self.target[0] + c * x + s * z, self.target[1] + y, self.target[2] - s * x + c * z)
-        return replace(self, eye=eye)
+        eye, target = (torch.tensor(x, dtype=torch.float64) for x in (self.eye, self.target))
+        around = target + turn(1, degrees) @ (eye - target)
+        return replace(self, eye=tuple(around.tolist()))
 
     def axes(self) -> Tensor:
         """(3, 3) float64: unit vectors to the right, up, and ahead in the image."""

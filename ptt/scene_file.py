@@ -42,6 +42,7 @@ from ptt import materials
 from ptt.mesh_file import read_parts, read_texture
 from ptt.meshes import Part, join, transformed
 from ptt.ops import mesh
+from ptt.ops.sphere import turn
 from ptt.scene import Camera, Scene
 
 T = TypeVar("T")
@@ -141,11 +142,7 @@ def _matrix(scale: float = 1.0, rotate: Iterable[float] = (0, 0, 0), translate: 
     matrix = torch.eye(4, dtype=torch.float64)
     matrix[:3, :3] *= scale
     for axis, degrees in enumerate(_three("rotate", rotate)):
-        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        turn = torch.eye(4, dtype=torch.float64)
-        turn[i, i], turn[i, j], turn[j, i], turn[j, j] = c, -s, s, c
-        matrix = turn @ matrix
+        matrix[:3] = turn(axis, degrees) @ matrix[:3]
     matrix[:3, 3] = torch.tensor(_three("translate", translate), dtype=torch.float64)
     return matrix
 

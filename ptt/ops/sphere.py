@@ -18,7 +18,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from math import pi, prod
+from math import cos, pi, prod, radians, sin
 
 import torch
 from torch import Tensor
@@ -238,6 +238,15 @@ class Disk(Grid):
         # area of the sphere above the rectangle from (0, 0) to (a, b): integral of asin(b / sqrt(1 - x^2)) dx
         corner = a * torch.atan2(b, r) + b * torch.atan2(a, r) - torch.atan2(a * b, r)
         return _within_circle(_mixed_difference(corner), 2 * rows - 1, 2 * columns - 1)
+
+
+def turn(axis: int, degrees: float) -> Tensor:
+    """Right-handed rotation (3, 3) about axis 0, 1 or 2 by degrees, float64."""
+    matrix = torch.eye(3, dtype=torch.float64)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    c, s = cos(radians(degrees)), sin(radians(degrees))
+    matrix[i, i], matrix[i, j], matrix[j, i], matrix[j, j] = c, -s, s, c
+    return matrix
 
 
 def _disk_area(b: Tensor, a: Tensor) -> Tensor:

@@ -1,0 +1,117 @@
+"""Lat-long maps as functions on the sphere: the bilinear interpolant of texels at half-texel centres.
+
+It wraps around in u, and across the poles: beyond row 0 comes row 0, half a turn on. `ptt.ops.sphere.LatLong` has
+the texels' directions and solid angles; here is what the interpolant adds.
+"""
+
+from __future__ import annotations
+
+from math import cos, pi, radians, sin
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ptt.ops.sphere import LatLong
+
+
+def surrounded(texels: Tensor) -> Tensor:
+    """Texels (h, w, ...) with one more all around: the next ones across the poles and around in u."""
+    half = texels.shape[1] // 2
+    texels = torch.cat((texels[:1].roll(half, 1), texels, texels[-1:].roll(half, 1)))
+    return torch.cat((texels[:, -1:], texels, texels[:, :1]), dim=1)
+
+
+def texel_means(texels: Tensor) -> Tensor:
+    """Mean over each texel (h, w) of the bilinear interpolant: weights 1/8, 3/4, 1/8 along each axis."""
+    t = surrounded(texels)
+    t = (t[:-2] + 6 * t[1:-1] + t[2:]) / 8
+    return (t[:, :-2] + 6 * t[:, 1:-1] + t[:, 2:]) / 8
+
+
+def texel_weights(height: int, width: int) -> Tensor:
+    """Integral over the sphere of the interpolant of one texel of each row (height,) [sr], float64.
+
+    With step d, the integral of (1 - |t - t0| / d) sin t dt is 4 sin(d/2)^2 sin(t0) / d. The first and the
+    last row reach across a pole, where |sin t| adds 1 - 2 sin(d/2) / d: for small d, 1/24 d^2 to 1/2 d^2.
+    """
+    step = pi / height
+    rows = 4 * sin(step / 2) ** 2 / step * torch.sin((torch.arange(height, dtype=torch.float64) + 0.5) * step)
+    rows[0] += 1 - 2 * sin(step / 2) / step
+    rows[-1] += 1 - 2 * sin(step / 2) / step
+    return rows * (2 * pi / width)
+
+
+def halving(height: int) -> Tensor:
+    """Averages of rows (height / 2, height) that preserve constants and the interpolant's integral.
+
+    Rows as intervals of accumulated weight: each new row takes from the old ones that its interval overlaps.
+    """
+    new, old = (F.pad(texel_weights(h, h).cumsum(0) * h, (1, 0)) for h in (height // 2, height))
+    upper, lower = torch.minimum(new[1:, None], old[1:]), torch.maximum(new[:-1, None], old[:-1])
+    return (upper - lower).clamp(min=0) / new.diff()[:, None]
+
+
+def even_rows(texels: Tensor, arc: float) -> Tensor:
+    """Texels (h, w, 3), blurred along rows by a tent of about `arc` [radians] where texels are narrower."""
+    height, width = texels.shape[:2]
+    angles = (torch.arange(height).to(texels.device).double() + 0.5) * (pi / height)
+    widths = arc / (torch.sin(angles) * (2 * pi / width))
+    return _box(_box(texels, widths), widths - 1)  # the interpolation is a third box, of width 1
+
+
+def _box(texels: Tensor, widths: Tensor) -> Tensor:
+    """Means (h, w, 3) along rows over `widths` (h,) texels, at least 1 and at most the row."""
+    width = texels.shape[1]
+    reach = widths.clamp(1, width)[:, None] / 2
+    middle = torch.arange(width).to(reach) + 0.5
+    sums = F.pad(texels.double().cumsum(1), (0, 0, 1, 0))
+    means = (_cumulated(sums, middle + reach) - _cumulated(sums, middle - reach)) / (2 * reach)[..., None]
+    return means.to(texels)
+
+
+def _cumulated(sums: Tensor, x: Tensor) -> Tensor:
+    """Periodic running sums (h, w + 1, 3), linear in between, at columns x (h, w): (h, w, 3)."""
+    width = sums.shape[1] - 1
+    turns, column = torch.div(x, width, rounding_mode="floor"), (x % width).floor()
+    index = column.long().clamp(max=width - 1)[..., None].expand(-1, -1, 3)
+    below, above = sums.gather(1, index), sums.gather(1, index + 1)
+    return below + (above - below) * (x % width - column)[..., None] + turns[..., None] * sums[:, -1:]
+
+
+def bilinear(image: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    """Image (h, w, 3) at x, y (...), counted in texels from its upper left corner: (..., 3)."""
+    where = torch.stack((x * (2 / image.shape[1]) - 1, y * (2 / image.shape[0]) - 1), dim=-1)
+    values = F.grid_sample(
+        image.movedim(-1, 0)[None], where.reshape(1, -1, 1, 2), padding_mode="border", align_corners=False
+    )
+    return values[0, :, :, 0].T.reshape(*x.shape, 3)
+
+
+def cap(direction: Tensor, radius: float, height: int, width: int) -> Tensor:
+    """Coverage of texels (height, width) by a cap of `radius` degrees, scaled so that its integral is the cap's.
+
+    On a parallel of polar angle t, a cap at polar angle t0 covers the azimuths within
+    acos((cos radius - cos t cos t0) / (sin t sin t0)) of its own: exact along rows, 32 midpoints across.
+    """
+    if not 0 < radius <= 180:
+        raise ValueError(f"radius must satisfy 0 < radius <= 180 degrees, got {radius}")
+    x, y, z = direction.unbind()
+    rho, middle, azimuth = radians(radius), torch.atan2(torch.hypot(x, z), y), torch.atan2(x, -z)
+    edges = torch.linspace(0, pi, height + 1, dtype=torch.float64).clamp(middle - rho, middle + rho)
+    steps = edges.diff()[:, None] / 32
+    t = edges[:-1, None] + steps * (torch.arange(32, dtype=torch.float64) + 0.5)
+    cosine = (cos(rho) - t.cos() * middle.cos()) / (t.sin() * middle.sin()).clamp(min=1e-15)
+    arcs = _arc_overlap(cosine.clamp(-1, 1).acos(), azimuth, width)
+    covered = (arcs * (steps * t.sin())[..., None]).sum(1) / LatLong(height, width).solid_angles()
+    integral = texel_weights(height, width) @ covered.sum(1)
+    return (covered * (2 * pi * (1 - cos(rho)) / integral)).float()
+
+
+def _arc_overlap(half: Tensor, azimuth: Tensor, width: int) -> Tensor:
+    """How much of each of `width` columns (..., width) the arcs azimuth +- half (...) cover [radians]."""
+    edges = torch.arange(width + 1, dtype=torch.float64) * (2 * pi / width) - azimuth
+    turns = (edges / (2 * pi)).round()
+    half = half[..., None]
+    within = (edges - 2 * pi * turns).clamp(-half, half)
+    return (within + 2 * turns * half).diff(dim=-1)
