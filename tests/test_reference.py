@@ -22,6 +22,8 @@ from ptt.scene import Camera, Scene
 
 UP = torch.tensor([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])  # frame of a floor: the normal is +y
 
+UP_DOWN = torch.tensor([0.0, -1.0, 0.0])
+
 
 def plane(size: float = 2.0, turn: Tensor | None = None, shift: tuple[float, float, float] = (0, 0, 0)) -> Part:
     vertices, faces = mesh.plane_mesh(size)
@@ -176,6 +178,28 @@ def test_light_reflected_by_a_ceiling(bounces: int, faces_down: bool) -> None:
     assert agrees(estimate, albedo * (1 - f + reflected))
 
 
+def test_rays_leave_where_they_hit() -> None:
+    """Seen through a hit on the floor, off its middle and under that of a ceiling: albedo (1 - F), as above."""
+    floor, ceiling = plane(6.0), plane(1.0, turned(180.0), (1.2, 0.5, -0.7))
+    scene = scene_of(floor, ceiling)
+    origins = torch.tensor([[1.2, 0.1, -0.7]]).expand(16, 3)
+    down = torch.tensor([[0.0, -1.0, 0.0]]).expand(16, 3)
+    estimate = over_points(
+        along_rays(scene, Environment.constant(), same(lambert(0.5), scene), origins, down, samples=4096)
+    )
+    assert (estimate.standard_error < 0.005).all()
+    assert agrees(estimate, 0.5 * (1 - ceiling_form_factor(1.0, 0.5)))
+
+
+def test_the_face_decides_which_side_is_the_front() -> None:
+    """Vertex normals against the faces' front: black from the front (below their horizon), and from the back."""
+    vertices, faces = mesh.plane_mesh(2.0)
+    scene = Scene.from_mesh(vertices, faces, normals=torch.tensor([[0.0, -1.0, 0.0]]).expand(4, 3))
+    origins = torch.tensor([[0.1, 1.0, 0.2], [0.1, -1.0, 0.2]])
+    estimate = along_rays(scene, Environment.constant(), same(lambert(0.5), scene), origins, origins * UP_DOWN)
+    assert not estimate.mean.any()
+
+
 def test_open_white_box_fills_up_to_one() -> None:
     """Light enters through the missing lid and, by reciprocity, all of it comes out again: B = 1 everywhere.
 
@@ -311,6 +335,15 @@ def test_blocks_do_not_change_the_estimate(monkeypatch: pytest.MonkeyPatch) -> N
         error = (whole.standard_error.square() + blocks.standard_error.square()).sqrt()
         assert ((whole.mean - blocks.mean).abs() <= 5 * error).all()
         assert float(whole.standard_error.mean()) == pytest.approx(float(blocks.standard_error.mean()), rel=0.05)
+
+
+@pytest.mark.parametrize(("n", "batches", "capacity"), [(5, 7, 1), (5, 7, 3), (5, 7, 12), (5, 7, 100), (0, 7, 3)])
+def test_blocks_cover_everything_once_within_their_capacity(n: int, batches: int, capacity: int) -> None:
+    done = torch.zeros(n, dtype=torch.long)
+    for some, count in reference._passes(n, batches, capacity):
+        assert 0 < (some.stop - some.start) * count <= capacity
+        done[some] += count
+    assert bool((done == batches).all())
 
 
 def test_far_from_the_origin() -> None:

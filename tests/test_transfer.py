@@ -9,7 +9,8 @@ import torch
 
 import ptt
 from ptt.meshes import Part
-from ptt.ops import mesh, transfer
+from ptt.models.transfer_model import SparseTransfer
+from ptt.ops import haar, mesh, transfer
 from ptt.ops.sphere import Cube
 
 
@@ -118,3 +119,12 @@ def test_refusals(small_scene: ptt.Scene, small_raw: ptt.RawTransfer) -> None:
         ptt.precompute(small_scene, 2, index=torch.tensor([3, 2]))
     with pytest.raises(ValueError, match=r"coefficients must be in 6..1536, got 0"):
         ptt.compress(small_raw, 0)
+
+
+def test_rows_of_the_sparse_transfer_are_those_of_the_dense_one() -> None:
+    """Random T0 (v, i, l), truncated jointly; the CSR matrix must hold the kept entries at rows (i, v)."""
+    t0 = torch.randn(5, 3, 16, generator=torch.Generator().manual_seed(0))
+    kept = haar.truncate(t0.flatten(1), 20)
+    parts = [SparseTransfer.of(haar.Truncated(kept.indices[r], kept.values[r]), 3, 16) for r in (slice(3), slice(3, 5))]
+    dense = SparseTransfer.cat(parts).to_csr(16).to_dense().reshape(3, 5, 16)
+    assert torch.equal(dense.transpose(0, 1).flatten(1), kept.to_dense(48))

@@ -34,13 +34,19 @@ class SparseTransfer(NamedTuple):
 
     @classmethod
     def of(cls, truncated: Truncated, factors: int, length: int) -> SparseTransfer:
-        """From positions i * l and values (v, k)."""
+        """From ascending positions i * length + l, and values, (v, k) each."""
         factor, column = truncated.indices // length, truncated.indices % length
-        order = factor.flatten().sort(stable=True).indices
         row = factor + factors * torch.arange(len(factor))[:, None]
-        kept = torch.bincount(row.flatten(), minlength=factors * len(factor)).reshape(-1, factors).T
-        small = torch.int16 if length <= 1 << 15 else torch.int32
-        return cls(kept.int(), column.flatten()[order].to(small), truncated.values.flatten()[order])
+        kept = torch.bincount(row.flatten(), minlength=factors * len(factor)).reshape(-1, factors)  # shape: (v, i)
+        first = kept.T.flatten().cumsum(0).reshape(factors, -1).T - kept  # of each row (i, v) in the result
+        place = (first - kept.cumsum(1) + kept).gather(1, factor.long()) + torch.arange(factor.shape[1])
+        columns = torch.empty(place.numel(), dtype=torch.int16 if length <= 1 << 15 else torch.int32)
+        values = truncated.values.new_empty(place.numel())
+        columns[place.flatten()], values[place.flatten()] = (
+            column.flatten().to(columns.dtype),
+            truncated.values.flatten(),
+        )
+        return cls(kept.T.int().contiguous(), columns, values)
 
     @classmethod
     def cat(cls, parts: Sequence[SparseTransfer]) -> SparseTransfer:

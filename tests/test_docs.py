@@ -1,0 +1,36 @@
+"""What the documentation shows is true: examples run, and the tables are those of the committed results."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+EXAMPLES = ["ptt.ops", "ptt.ops.haar", "ptt.ops.sphere"]
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_examples_run(name: str) -> None:
+    import torch
+
+    result = doctest.testmod(importlib.import_module(name), extraglobs={"torch": torch})
+    assert result.attempted and not result.failed
+
+
+@pytest.mark.parametrize("path", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))], ids=lambda p: p.name)
+def test_tables_are_drawn_from_the_results(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", [str(ROOT), *sys.path])
+    table = importlib.import_module("bench.table")
+    text = path.read_text()
+    assert table.draw(text) == text, "run: python -m bench.table"
+
+
+def test_the_public_names_are_documented() -> None:
+    import ptt
+
+    for name in ptt.__all__:
+        assert getattr(ptt, name).__doc__, name
