@@ -9,7 +9,7 @@ Laws, for every grid g:
 
 Example:
     >>> grid = Cube(8)
-    >>> grid.shape, float(grid.solid_angles().sum() / torch.pi)
+    >>> grid.shape, round(float(grid.solid_angles().sum() / torch.pi), 6)
     ((6, 8, 8), 4.0)
 """
 
