@@ -20,6 +20,12 @@ SHAPES: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
         for f0 in (0.0, 0.1, 1.0)
         for m in (1e-4, 0.05, 0.3, 1.0)
     },
+    **{f"ward {a:g}": (lambda i, o, a=a: brdf.ward(i, o, a)) for a in (1e-4, 0.05, 0.3, 1.0)},
+    **{
+        f"ggx {f0:g} {r:g}": (lambda i, o, f0=f0, r=r: brdf.ggx(i, o, f0, r))
+        for f0 in (0.0, 0.04, 1.0)
+        for r in (1e-2, 0.1, 0.4, 1.0)
+    },
 }
 
 
@@ -85,6 +91,45 @@ def test_cook_torrance_albedo_of_a_mirror_like_metal_is_four_over_pi(m: float) -
     assert albedo == pytest.approx(4 / math.pi, rel=0.02)
 
 
+@pytest.mark.parametrize("slope", [0.1, 0.3, 0.6, 1.0])
+def test_ward_and_ggx_albedos_are_at_most_one(slope: float) -> None:
+    """Ward in the bounded form by its construction; GGX with F = 1 because Smith masking only takes away."""
+    grid = Disk(1500)
+    wi, weight = grid.directions().reshape(-1, 3), grid.projected_solid_angles().flatten()
+    for degrees in (0, 30, 60, 80):
+        for value in (brdf.ward(wi, tilted(degrees), slope), brdf.ggx(wi, tilted(degrees), 1.0, slope**0.5)):
+            assert float((value * weight).sum()) < 1.005
+
+
+def test_ward_and_ggx_reflect_nearly_all_at_normal_incidence_when_smooth() -> None:
+    grid = Disk(1500)
+    wi, weight = grid.directions().reshape(-1, 3), grid.projected_solid_angles().flatten()
+    assert float((brdf.ward(wi, tilted(0), 0.1) * weight).sum()) == pytest.approx(1.0, abs=0.03)
+    assert float((brdf.ggx(wi, tilted(0), 1.0, 0.3) * weight).sum()) == pytest.approx(1.0, abs=0.03)
+
+
+def test_anisotropic_ward_turns_with_its_axes() -> None:
+    """Swapping the slopes is turning both directions by 90 degrees; equal slopes are isotropic."""
+    wi, wo = hemisphere(500), hemisphere(500, 1)
+    turn = torch.tensor([[0, -1, 0], [1, 0, 0], [0, 0, 1]], dtype=torch.float64)
+    swapped = brdf.ward(wi @ turn.T, wo @ turn.T, 0.5, 0.1)
+    assert torch.allclose(swapped, brdf.ward(wi, wo, 0.1, 0.5), rtol=1e-9)
+    assert torch.equal(brdf.ward(wi, wo, 0.3, 0.3), brdf.ward(wi, wo, 0.3))
+    assert not torch.allclose(brdf.ward(wi, wo, 0.1, 0.5), brdf.ward(wi, wo, 0.5, 0.1), rtol=0.1)
+
+
+def test_ggx_is_the_formula_of_gltf() -> None:
+    """D, G2 = 2 nl nv / (..) and F written out in plain Python, f = D G F / (4 nl nv)."""
+    wi, wo, f0, roughness = tilted(40), tilted(-25), 0.1, 0.5
+    h = (wi + wo) / (wi + wo).norm()
+    a2, nl, nv, nh, vh = roughness**4, float(wi[2]), float(wo[2]), float(h[2]), float(wo @ h)
+    d = a2 / (math.pi * (nh**2 * (a2 - 1) + 1) ** 2)
+    smith = [(-1 + math.sqrt(1 + a2 * (1 / c**2 - 1))) / 2 for c in (nl, nv)]
+    f = f0 + (1 - f0) * (1 - vh) ** 5
+    expected = d * f / (1 + sum(smith)) / (4 * nl * nv)
+    assert float(brdf.ggx(wi, wo, f0, roughness)) == pytest.approx(expected, rel=1e-12)
+
+
 @pytest.mark.parametrize("name", [n for n in SHAPES if "1e+06" not in n and "0.0001" not in n])
 def test_float32_agrees_with_float64(name: str) -> None:
     wi = hemisphere(500)
@@ -94,11 +139,10 @@ def test_float32_agrees_with_float64(name: str) -> None:
     assert torch.allclose(SHAPES[name](wi32, wo32).double(), exact, rtol=2e-3, atol=1e-5 * float(exact.max()))
 
 
-@pytest.mark.parametrize("model", ["blinn-phong", "cook-torrance"])
-def test_gradients(model: str) -> None:
+@pytest.mark.parametrize(
+    "model", [brdf.cook_torrance, brdf.ward, brdf.ggx, lambda i, o, n, _: brdf.blinn_phong(i, o, 50 * n)]
+)
+def test_gradients(model: Callable[..., Tensor]) -> None:
     wi, wo = hemisphere(5), hemisphere(5, 1)
     a, b = (torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in (0.3, 0.4))
-    if model == "blinn-phong":
-        assert torch.autograd.gradcheck(lambda n: brdf.blinn_phong(wi, wo, 50 * n), (a,))
-    else:
-        assert torch.autograd.gradcheck(lambda f0, m: brdf.cook_torrance(wi, wo, f0, m), (a, b))
+    assert torch.autograd.gradcheck(lambda x, y: model(wi, wo, x, y), (a, b))
