@@ -90,8 +90,11 @@ def against_mitsuba(table: Table, rays: int, samples: int, pictures: bool) -> No
             table.row(f"{what}: share of z within 3", score["within_3"], "", how + "; 0.9973 if both are right")
             table.row(f"{what}: relative difference of the means", score["bias"], "", how)
     if pictures:
-        small = replace(scene, camera=replace(scene.camera, width=240, height=180))
-        mitsuba_check.side_by_side(IMAGES / "mitsuba.png", small, lights["smooth"], bounces=2, samples=64)
+        small = replace(scene, camera=replace(scene.camera, width=160, height=120))
+        for name, light in lights.items():
+            for bounces in (0, 1, 2):
+                path = IMAGES / f"mitsuba_{name}_{bounces}.png"
+                mitsuba_check.side_by_side(path, small, light, bounces=bounces, samples=64)
 
 
 def bunny(table: Table, data: Path, vertices: int, samples: int) -> None:

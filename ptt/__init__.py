@@ -10,7 +10,7 @@ ptt.render(scene, scene.camera, radiance).save("watch.png")
 from ptt import reference
 from ptt.compress import compress
 from ptt.environment import Environment
-from ptt.materials import BlinnPhong, BlinnPhongSpace, CookTorrance, Material, blinn_phong, cook_torrance, lambert
+from ptt.materials import BlinnPhong, CookTorrance, Material, blinn_phong, cook_torrance, lambert
 from ptt.metrics import relative_rmse
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.models.transfer_model import TransferModel
@@ -18,12 +18,14 @@ from ptt.models.transfer_relighter import TransferRelighter
 from ptt.precompute import RawTransfer, precompute
 from ptt.render import Image, render
 from ptt.scene import Camera, Region, Scene
+from ptt.spaces import BlinnPhongSpace, CookTorranceSpace, fitted
 
 __all__ = [
     "BlinnPhong",
     "BlinnPhongSpace",
     "Camera",
     "CookTorrance",
+    "CookTorranceSpace",
     "Environment",
     "Image",
     "Material",
@@ -36,6 +38,7 @@ __all__ = [
     "blinn_phong",
     "compress",
     "cook_torrance",
+    "fitted",
     "lambert",
     "precompute",
     "reference",

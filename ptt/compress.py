@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from ptt.materials import BlinnPhongSpace
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.models.transfer_model import SparseTransfer, TransferModel
 from ptt.ops import haar, transfer
 from ptt.ops.sphere import Cube
 from ptt.precompute import RawTransfer
+from ptt.spaces import BlinnPhongSpace
 
 BLOCK_BYTES = 5e6  # of T0 at once: what stays in the cache is transformed three times as fast
 SPACE = BlinnPhongSpace()

@@ -1,4 +1,4 @@
-"""Materials: a diffuse and a specular colour around a monochrome shape; and the spaces of shapes one navigates."""
+"""Materials: a diffuse and a specular colour around a monochrome shape."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from itertools import pairwise
 from typing import Any, ClassVar
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from ptt.ops import brdf
 
@@ -133,45 +132,6 @@ def from_config(config: Mapping[str, Any]) -> Material:
     if unknown := [key for key in values if key not in valid]:
         raise ValueError(f"material: unknown {', '.join(map(repr, unknown))}; valid are {', '.join(valid)}")
     return MODELS[model](**values)
-
-
-@dataclass(frozen=True)
-class BlinnPhongSpace:
-    """Blinn-Phong shapes between sampled exponents, linear in between (Sun et al. 2007, section 4.2).
-
-    exponents: ascending, in 0..1e6. The default reaches from 1 to 64, four samples to a factor of two: sharper
-        highlights do not fit a small tensor.
-    """
-
-    exponents: tuple[float, ...] = tuple(2 ** (k / 4) for k in range(25))
-
-    def __post_init__(self) -> None:
-        if not self.exponents or any(a >= b for a, b in pairwise(self.exponents)):
-            raise ValueError(f"exponents must hold ascending values, got {self.exponents}")
-
-    @property
-    def samples(self) -> tuple[BlinnPhong, ...]:
-        """The shapes that a tensor is fitted to, h of them."""
-        return tuple(BlinnPhong(exponent) for exponent in self.exponents)
-
-    def coordinates(self, shape: Shape) -> Tensor:
-        """Weights (h,) of the samples, float64, that interpolate a shape; differentiable in its exponent.
-
-        Raises:
-            ValueError: a shape of another model, or an exponent outside of the samples.
-        """
-        if not isinstance(shape, BlinnPhong):
-            raise ValueError(f"the model's space holds blinn-phong shapes, got {shape.model}")
-        nodes = torch.tensor(self.exponents, dtype=torch.float64)
-        x = torch.as_tensor(shape.exponent, dtype=torch.float64).cpu()
-        low, high, value = self.exponents[0], self.exponents[-1], float(x.detach())
-        if not low * (1 - 1e-6) <= value <= high * (1 + 1e-6):
-            raise ValueError(f"exponent must be in {low:g}..{high:g}, the model's space, got {value:g}")
-        after = min(int((nodes <= value).sum()), len(nodes) - 1)
-        before = max(after - 1, 0)
-        ends = nn.functional.one_hot(torch.tensor([before, after]), len(nodes)).double()
-        t = (x - nodes[before]) / (nodes[after] - nodes[before]) if before < after else x * 0
-        return ends[0] + t * (ends[1] - ends[0])
 
 
 def _colour(name: str, value: Colour, high: float) -> Tensor:

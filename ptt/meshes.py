@@ -60,7 +60,7 @@ def prepare(parts: Sequence[Part]) -> list[Prepared]:
     dropped, renewed = sum(p.dropped for p in prepared), sum(p.renewed for p in prepared)
     if dropped or renewed:
         counts = f"{dropped} triangles without area dropped, {renewed} vertices without a normal given one"
-        warnings.warn(f"mesh repaired: {counts}", UserWarning, stacklevel=3)
+        warnings.warn(f"mesh repaired: {counts}", UserWarning, stacklevel=4)
     return prepared
 
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import ptt
-from ptt import BlinnPhongSpace, materials
+from ptt import materials
 
 UP = torch.tensor([0.0, 0.0, 1.0])
 
@@ -54,26 +54,3 @@ def test_unknown_models_and_keys_list_the_valid_ones() -> None:
         materials.from_config({"model": "phong"})
     with pytest.raises(ValueError, match=r"'shininess'; valid are diffuse, specular, exponent"):
         materials.from_config({"model": "blinn-phong", "shininess": 3})
-
-
-def test_coordinates_reproduce_samples_and_are_linear_between_them() -> None:
-    space = BlinnPhongSpace((1.0, 4.0, 10.0))
-    assert space.coordinates(ptt.BlinnPhong(4.0)).tolist() == [0, 1, 0]
-    assert torch.allclose(space.coordinates(ptt.BlinnPhong(5.5)), torch.tensor([0.0, 0.75, 0.25]).double())
-    space = BlinnPhongSpace((3.0,))
-    assert space.coordinates(ptt.BlinnPhong(3.0)).tolist() == [1]
-
-
-def test_coordinates_carry_gradients() -> None:
-    exponent = torch.tensor(5.0, requires_grad=True)
-    BlinnPhongSpace((1.0, 4.0, 10.0)).coordinates(ptt.BlinnPhong(exponent))[2].backward()
-    assert exponent.grad is not None and float(exponent.grad) == pytest.approx(1 / 6)
-
-
-def test_space_refusals() -> None:
-    with pytest.raises(ValueError, match=r"exponent must be in 1..64, the model's space, got 100"):
-        BlinnPhongSpace().coordinates(ptt.BlinnPhong(100.0))
-    with pytest.raises(ValueError, match="the model's space holds blinn-phong shapes, got cook-torrance"):
-        BlinnPhongSpace().coordinates(ptt.CookTorrance(0.1, 0.3))
-    with pytest.raises(ValueError, match="exponents must hold ascending values"):
-        BlinnPhongSpace((3.0, 2.0))

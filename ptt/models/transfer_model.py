@@ -11,11 +11,11 @@ import torch
 from torch import Tensor, nn
 
 from ptt import saved
-from ptt.materials import BlinnPhongSpace
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.ops.haar import Truncated
 from ptt.ops.sphere import Cube
 from ptt.receivers import Receivers
+from ptt.spaces import BlinnPhongSpace
 
 KIND = "transfer model"
 
