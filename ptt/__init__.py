@@ -11,6 +11,7 @@ from ptt import reference
 from ptt.compress import compress
 from ptt.environment import Environment
 from ptt.materials import BlinnPhong, CookTorrance, Material, blinn_phong, cook_torrance, lambert
+from ptt.measured import MERL, NeuralBRDF
 from ptt.metrics import relative_rmse
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.models.transfer_model import TransferModel
@@ -21,6 +22,7 @@ from ptt.scene import Camera, Region, Scene
 from ptt.spaces import BlinnPhongSpace, CookTorranceSpace, fitted
 
 __all__ = [
+    "MERL",
     "BlinnPhong",
     "BlinnPhongSpace",
     "Camera",
@@ -29,6 +31,7 @@ __all__ = [
     "Environment",
     "Image",
     "Material",
+    "NeuralBRDF",
     "RawTransfer",
     "Region",
     "Scene",
