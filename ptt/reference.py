@@ -23,6 +23,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import cached_property
 from typing import NamedTuple, TypedDict, Unpack
 
@@ -38,7 +40,8 @@ from ptt.scene import Camera, Scene
 
 BATCHES = 64  # at least so many where there are as many samples: the standard error is then good to 9 %
 LATTICE = 256  # samples a batch, at most
-RAYS = 1 << 20  # paths at a time, at most: about 1 GB
+RAYS = 1 << 17  # paths a thread at a time: about 80 MB
+THREADS = 16  # at most
 GRAZING = 1e-6  # cosine from which a direction is above the horizon
 
 
@@ -62,7 +65,7 @@ class Settings(TypedDict, total=False):
 
     bounces: reflections before the last one, at the point (0)
     samples: paths a point, rounded up to whole batches (256)
-    seed: the same seed and thread count give the same result to the bit (0)
+    seed: the same seed gives the same result to the bit, on any number of threads (0)
     progress: show a bar (False)
     """
 
@@ -206,9 +209,19 @@ class _Paths:
         batches = -(-self.samples // size)
         lit = torch.nonzero(start.wo[:, 2] > GRAZING)[:, 0]
         sums = torch.zeros(2, len(start.wo), 3, dtype=torch.float64)
-        with tqdm(total=len(lit) * batches * size, unit=" paths", disable=not self.progress) as bar:
-            for some, count in _passes(len(lit), batches, max(1, RAYS // size)):
-                means = self._batch_means(start.take(lit[some]), count, size)
+        passes = list(_passes(len(lit), batches, max(1, RAYS // size)))
+        seeds = torch.randint(2**32, (len(passes),), generator=self.random).tolist()
+
+        @torch.no_grad()
+        def run(block: tuple[slice, int], seed: int) -> Tensor:
+            some, count = block
+            return self._batch_means(start.take(lit[some]), count, size, torch.Generator().manual_seed(seed))
+
+        with (
+            _side_by_side(min(self.scene.surface.threads, THREADS)) as pool,
+            self._bar(len(lit) * batches * size) as bar,
+        ):
+            for (some, _), means in zip(passes, pool.map(run, passes, seeds), strict=True):
                 sums[0, lit[some]] += means.sum(1)
                 sums[1, lit[some]] += means.square().sum(1)
                 bar.update(means[..., 0].numel() * size)
@@ -216,14 +229,17 @@ class _Paths:
         variance = (sums[1] / batches - mean.square()).clamp(min=0) / (batches - 1)
         return Estimate(mean, variance.sqrt())
 
-    def _batch_means(self, start: _Vertices, count: int, size: int) -> Tensor:
+    def _bar(self, paths: int) -> tqdm:
+        return tqdm(total=paths, unit=" paths", unit_scale=True, disable=not self.progress)
+
+    def _batch_means(self, start: _Vertices, count: int, size: int, random: torch.Generator) -> Tensor:
         """Means (n, count, 3) of `count` batches of `size` paths from each of n vertices."""
         n = len(start.wo)
-        u = (self._uniform(n * count)[:, None] + _lattice(size)).frac().reshape(-1, 5)
-        light = self._trace(start.take(torch.arange(n).repeat_interleave(count * size)), u)
+        u = (_uniform(n * count, random)[:, None] + _lattice(size)).frac().reshape(-1, 5)
+        light = self._trace(start.take(torch.arange(n).repeat_interleave(count * size)), u, random)
         return light.reshape(n, count, size, 3).double().mean(2)
 
-    def _trace(self, at: _Vertices, u: Tensor) -> Tensor:
+    def _trace(self, at: _Vertices, u: Tensor, random: torch.Generator) -> Tensor:
         """Light (n, 3) along one path from each vertex; u (n, 5): random numbers for the first."""
         light, weight, path = torch.zeros_like(at.wo), torch.ones_like(at.wo), torch.arange(len(at.wo))
         for left in range(self.bounces, -1, -1):
@@ -238,11 +254,8 @@ class _Paths:
             light.index_add_(0, _pick(path, out), _pick(weight, out) * beyond)
             if hits is not None:
                 rows, at = self.arrive(hits, world)
-                path, weight, u = _pick(path, rows), _pick(weight, rows), self._uniform(len(rows))
+                path, weight, u = _pick(path, rows), _pick(weight, rows), _uniform(len(rows), random)
         return light
-
-    def _uniform(self, n: int) -> Tensor:
-        return torch.rand(n, 5, generator=self.random)
 
     def _beyond(self, world: Tensor, density: Tensor) -> Tensor:
         """The environment (n, 3) in directions that BRDFs drew with this density (n,), by the balance heuristic."""
@@ -340,6 +353,22 @@ def _passes(n: int, batches: int, capacity: int) -> Iterator[tuple[slice, int]]:
         most = capacity // (some.stop - first)
         for done in range(0, batches, most):
             yield some, min(most, batches - done)
+
+
+@contextmanager
+def _side_by_side(threads: int) -> Iterator[ThreadPoolExecutor]:
+    """Threads that each run torch on one core: its own threads would wait for each other after every operation."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with ThreadPoolExecutor(threads) as pool:
+            yield pool
+    finally:
+        torch.set_num_threads(before)
+
+
+def _uniform(n: int, random: torch.Generator) -> Tensor:
+    return torch.rand(n, 5, generator=random)
 
 
 def _lattice(size: int) -> Tensor:
