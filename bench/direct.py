@@ -48,7 +48,7 @@ def main() -> None:
     table = Table("direct")
     furnace(table)
     against_mitsuba(table, rays=200 if quick else 2000, samples=64 if quick else 1024, pictures=not quick)
-    bunny(table, data, vertices=200 if quick else 2000, samples=4096 if quick else 32768)
+    bunny(table, data, vertices=200 if quick else 2000, samples=4096 if quick else 16384)
     speed(table, data, stride=64 if quick else 1)
     if not quick:
         whole_flow(table)

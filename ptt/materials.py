@@ -146,6 +146,7 @@ def _colour(name: str, value: Colour, high: float) -> Tensor:
 
 def _check(name: str, value: float | Tensor, low: float, high: float) -> None:
     v = torch.as_tensor(value).detach().double()
-    if not bool((torch.isfinite(v) & (v >= low) & (v <= high)).all()):
+    rounded = 1e-6  # float32 may hold a bound a little beside itself
+    if not bool((torch.isfinite(v) & (v >= low * (1 - rounded)) & (v <= high * (1 + rounded))).all()):
         bounds = f"at least {low:g}" if high == math.inf else f"in [{low:g}, {high:g}]"
         raise ValueError(f"{name} must be finite and {bounds}, got {v.tolist()}")

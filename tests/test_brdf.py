@@ -146,3 +146,11 @@ def test_gradients(model: Callable[..., Tensor]) -> None:
     wi, wo = hemisphere(5), hemisphere(5, 1)
     a, b = (torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in (0.3, 0.4))
     assert torch.autograd.gradcheck(lambda x, y: model(wi, wo, x, y), (a, b))
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_finite_in_float32_next_to_the_horizon(name: str) -> None:
+    for z in (1e-3, 1e-6, 1e-9, 1e-12):
+        a, b = torch.tensor([1.0, 0.0, z]), torch.tensor([-1.0, 0.0, z])
+        for wi, wo in [(a, b), (a, a), (b, torch.tensor([0.0, 1.0, z]))]:
+            assert SHAPES[name](wi, wo).isfinite()

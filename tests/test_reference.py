@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from ptt import reference
+from ptt import path_tracer, reference
 from ptt.environment import Environment
 from ptt.materials import Material, blinn_phong, cook_torrance, lambert
 from ptt.meshes import Part
@@ -355,7 +355,7 @@ def test_blocks_do_not_change_the_estimate(monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.mark.parametrize(("n", "batches", "capacity"), [(5, 7, 1), (5, 7, 3), (5, 7, 12), (5, 7, 100), (0, 7, 3)])
 def test_blocks_cover_everything_once_within_their_capacity(n: int, batches: int, capacity: int) -> None:
     done = torch.zeros(n, dtype=torch.long)
-    for some, count in reference._passes(n, batches, capacity):
+    for some, count in path_tracer._passes(n, batches, capacity):
         assert 0 < (some.stop - some.start) * count <= capacity
         done[some] += count
     assert bool((done == batches).all())

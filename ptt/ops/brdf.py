@@ -47,11 +47,11 @@ def cook_torrance(wi: Tensor, wo: Tensor, f0: Tensor | float, m: Tensor | float)
     """
     f0, m = (torch.as_tensor(p, dtype=wi.dtype, device=wi.device) for p in (f0, m))
     h = half_vector(wi, wo)
-    nh, nl, nv = h[..., 2].clamp(min=1e-12), wi[..., 2].clamp(min=0), wo[..., 2].clamp(min=0)
-    vh = (wo * h).sum(-1).clamp(min=1e-12)
+    nh, nl, nv = h[..., 2].clamp(min=1e-6), wi[..., 2].clamp(min=0), wo[..., 2].clamp(min=0)
+    vh = (wo * h).sum(-1).clamp(min=1e-6)
     d = torch.exp(-_sin2(h) / (nh * m) ** 2) / (m * nh * nh) ** 2
     f = f0 + (1 - f0) * (1 - vh).clamp(min=0) ** 5
-    grazing = 2 * nh / (vh * torch.maximum(nl, nv).clamp(min=1e-12))  # G / (n.l n.v) where a groove blocks
+    grazing = 2 * nh / (vh * torch.maximum(nl, nv).clamp(min=1e-6))  # G / (n.l n.v) where a groove blocks
     g = torch.minimum(1 / (nl * nv).clamp(min=1e-24), grazing)
     return d * f * g * _above(wi, wo) / math.pi**2
 
