@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from os import PathLike
 
@@ -18,6 +19,13 @@ class Image:
     """A picture in linear RGB: pixels (height, width, 3), row 0 on top."""
 
     pixels: Tensor
+
+    def exposure(self) -> float:
+        """Stops for `save` that bring the brightest twentieth of the picture to white; 0 for a black picture."""
+        luminance = self.pixels.reshape(-1, 3) @ self.pixels.new_tensor([0.2126, 0.7152, 0.0722])
+        rank = max(1, int(0.95 * len(luminance)))
+        bright = float(luminance.kthvalue(rank).values)
+        return -math.log2(bright) if bright > 0 else 0.0
 
     def save(self, path: str | PathLike[str], exposure: float = 0.0) -> None:
         """Write .exr or .hdr (linear) or .png (sRGB, clipped), brightened by `exposure` stops.

@@ -63,6 +63,14 @@ def test_save(tmp_path: Path) -> None:
     assert torch.allclose(read_image(tmp_path / "b.exr"), torch.ones(4, 6, 3))
 
 
+def test_exposure_brings_the_brightest_twentieth_to_white() -> None:
+    pixels = torch.linspace(0.01, 8.0, 400).reshape(20, 20, 1).expand(-1, -1, 3)
+    image = ptt.Image(pixels)
+    share = float((pixels * 2.0 ** image.exposure() >= 1 - 1e-6).double().mean())
+    assert share == pytest.approx(0.05, abs=0.005)
+    assert ptt.Image(torch.zeros(4, 4, 3)).exposure() == 0
+
+
 def test_refusals() -> None:
     scene = square()
     with pytest.raises(ValueError, match=r"radiance must be finite, \(4, 3\), got \(5, 3\)"):
