@@ -30,6 +30,7 @@ from ptt.ops.sphere import Grid, LatLong, turn
 Colour = float | Sequence[float] | Tensor
 """Red, green and blue, or one number for grey; finite and >= 0."""
 
+LARGEST = 1e30  # of a map: its products must stay within float32
 _SIZE = 256, 512  # height and width of maps that are made, not loaded
 _LOOKUPS = 1 << 23  # `project` halves a map whose texels would ask for more
 
@@ -272,9 +273,9 @@ def _direction(value: Sequence[float] | Tensor) -> Tensor:
 
 
 def _check_finite(name: str, values: Tensor) -> None:
-    bad = int((~values.isfinite()).sum())
+    bad = int((~(values.abs() <= LARGEST)).sum())
     if bad:
-        raise ValueError(f"{name} must be finite: {bad} of {values.numel()} values are NaN or infinite")
+        raise ValueError(f"{name} must be finite: {bad} of {values.numel()} values are NaN or beyond {LARGEST:g}")
 
 
 def _check_rotation(r: Tensor) -> None:

@@ -162,6 +162,11 @@ def test_refusals(relighter: ptt.TransferRelighter, small_scene: ptt.Scene) -> N
         relighter(SKY, {"ball": ptt.cook_torrance()}, camera)
     with pytest.raises(ValueError, match=r"view must be a Camera, \(3,\) or \(\d+, 3\), got \(2,\)"):
         relighter(SKY, {}, torch.zeros(2))
+    for view in (torch.tensor([0.0, torch.nan, 0.0]), torch.zeros(relighter.model.positions.shape)):
+        with pytest.raises(ValueError, match="view must be finite, and directions not zero"):
+            relighter(SKY, {}, view)
+    with pytest.raises(ValueError, match=r"materials must map regions to ptt\.Material, got int"):
+        relighter(SKY, {"ball": 3}, camera)
 
 
 def test_cache_keeps_nothing_that_carries_a_graph() -> None:

@@ -47,7 +47,7 @@ class TransferRelighter(nn.Module):
         """Radiance (v, 3) of every point toward the viewer.
 
         materials: by region; a region that is left out has the scene's own
-        view: a Camera, an eye (3,), or unit directions (v, 3) from the points to the viewer
+        view: a Camera, an eye (3,), or directions (v, 3) from the points to the viewer
 
         Receivers that face away have the radiance of the mirrored direction, so that silhouettes interpolate well.
 
@@ -106,16 +106,19 @@ class TransferRelighter(nn.Module):
         positions = self.model.positions
         if isinstance(view, Camera):
             return view.toward(positions)
-        if view.shape == (3,):
-            return nn.functional.normalize(view.to(positions) - positions, dim=1)
-        if view.shape == positions.shape:
-            return view.to(positions)
-        raise ValueError(f"view must be a Camera, (3,) or {tuple(positions.shape)}, got {tuple(view.shape)}")
+        if view.shape not in ((3,), positions.shape):
+            raise ValueError(f"view must be a Camera, (3,) or {tuple(positions.shape)}, got {tuple(view.shape)}")
+        directions = view.to(positions) - positions if view.shape == (3,) else view.to(positions)
+        if not bool(torch.isfinite(view).all()) or (view.ndim == 2 and not bool((view != 0).any(1).all())):
+            raise ValueError("view must be finite, and directions not zero")
+        return nn.functional.normalize(directions, dim=1)
 
     def _chosen(self, materials: Mapping[str, Material]) -> dict[str, Material]:
         own = self.model.receivers
         if unknown := [name for name in materials if name not in own.names]:
             raise ValueError(f"no region {', '.join(unknown)}; the model has {', '.join(own.names)}")
+        if wrong := [name for name, given in materials.items() if not isinstance(given, Material)]:
+            raise ValueError(f"materials must map regions to ptt.Material, got {type(materials[wrong[0]]).__name__}")
         for name, editable in zip(own.names, own.editable, strict=True):
             given = materials.get(name)
             if given is not None and not editable and mat.to_config(given) != mat.to_config(own.materials[name]):
