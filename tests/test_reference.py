@@ -255,7 +255,7 @@ def test_how_directions_are_drawn_does_not_matter(monkeypatch: pytest.MonkeyPatc
     both = run(0)
     uniform = Environment.constant().sampler()
     with monkeypatch.context() as patch:
-        patch.setattr(reference, "_mixture", lambda material: Mixture())
+        patch.setattr(path_tracer, "_mixture", lambda material: Mixture())
         cosine_only = run(1)
     with monkeypatch.context() as patch:
         patch.setattr(Environment, "sampler", lambda self: uniform)
@@ -301,7 +301,7 @@ def test_well_spread_batches_beat_independent_samples(monkeypatch: pytest.Monkey
         ).standard_error.square().mean().sqrt())  # fmt: skip
 
     spread = error()
-    monkeypatch.setattr(reference, "BATCHES", 4096)
+    monkeypatch.setattr(path_tracer, "BATCHES", 4096)
     assert spread < 0.5 * error()
 
 
@@ -325,7 +325,7 @@ def test_any_number_of_threads_gives_the_same_bits(monkeypatch: pytest.MonkeyPat
     """And torch is left with as many threads as it had."""
     scene, before, runs = Scene.default(), torch.get_num_threads(), []
     torch.set_num_threads(2)
-    monkeypatch.setattr(reference, "RAYS", 1000)
+    monkeypatch.setattr(path_tracer, "RAYS", 1000)
     for threads in (1, 3):
         monkeypatch.setattr(scene.surface, "threads", threads)
         runs.append(at_vertices(scene, smooth_sky(), scene.materials, scene.camera, bounces=1, samples=2))
@@ -345,7 +345,7 @@ def test_blocks_do_not_change_the_estimate(monkeypatch: pytest.MonkeyPatch) -> N
 
     whole = run(0)
     for rays in (30, 700):
-        monkeypatch.setattr(reference, "RAYS", rays)
+        monkeypatch.setattr(path_tracer, "RAYS", rays)
         blocks = run(1)
         error = (whole.standard_error.square() + blocks.standard_error.square()).sqrt()
         assert ((whole.mean - blocks.mean).abs() <= 5 * error).all()
