@@ -66,7 +66,7 @@ def test_visibility(benchmark: Any, scene: ptt.Scene) -> None:
 
 
 def test_t0(benchmark: Any, scene: ptt.Scene) -> None:
-    """T0 of 4 vertices of the knot, its wavelets and their truncation; the error is in the diffuse light under the sky."""
+    """T0 of 4 vertices of the knot and its truncation; the error is in the diffuse light under the sky."""
     first = int((scene.vertex_region == scene.region_index("knot")).nonzero()[0])
     raw = ptt.precompute(scene, index=torch.arange(first, first + 4))
     brdf = ptt.TensorBRDF.fit(ptt.BlinnPhongSpace(), ranks=(4, 24, 24))
