@@ -4,7 +4,7 @@
     light.radiance(directions)          # (..., 3)
     light.project(Cube(64))             # (6, 64, 64, 3), means of the cells
 
-The function is the bilinear interpolant of a lat-long map, in the convention of `ptt.ops.sphere.LatLong`,
+The function is the bilinear interpolant of a lat-long map, in the convention of `ptt.ops.sphere.LatLong`, texel
 centres at half texels. It wraps around in u, and across the poles: beyond row 0 comes row 0, half a turn on.
 All that is derived from a map (means of cells, the integral, the sampler) belongs to this one function. Its
 integral is the texels' sum by solid angle, but for the first and the last row, whose texels weigh 8 % more.

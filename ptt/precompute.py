@@ -51,7 +51,7 @@ class RawTransfer:
         config, tensors = saved.load(path, KIND)
         with saved.describing(path):
             shape = len(tensors.get("positions", ())), (6 * config["resolution"] ** 2 + 7) // 8
-            saved.check(path, tensors, {"visible": (torch.uint8, shape), **Receivers.expected(config)})
+            saved.check(tensors, {"visible": (torch.uint8, shape), **Receivers.expected(config)})
             return cls(Receivers.restore(config, tensors), tensors["visible"], config["resolution"])
 
 

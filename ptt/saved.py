@@ -52,36 +52,39 @@ def load(path: str | PathLike[str], kind: str) -> tuple[dict[str, Any], dict[str
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
     except (SafetensorError, OSError, json.JSONDecodeError) as error:
         raise ValueError(f"{path} is not a whole safetensors file: {error}") from error
-    if header.get("kind") != kind:
-        raise ValueError(f"{path} must hold a {kind}, got {header.get('kind', 'a file that ptt did not write')}")
-    if header.get("schema") != SCHEMA:
-        raise ValueError(f"{path} has schema {header.get('schema')}, this version of ptt reads {SCHEMA}")
-    return header["config"], tensors
+    with describing(path):
+        if header.get("kind") != kind:
+            raise ValueError(f"must hold a {kind}, got {header.get('kind', 'a file that ptt did not write')}")
+        if header.get("schema") != SCHEMA:
+            raise ValueError(f"has schema {header.get('schema')}, this version of ptt reads {SCHEMA}")
+        return header["config"], tensors
 
 
 @contextmanager
 def describing(path: str | PathLike[str]) -> Iterator[None]:
-    """Turn what reading a damaged config raises into a ValueError that names the file."""
+    """Name the file in every complaint about what it holds, and turn those of a damaged config into ValueErrors."""
     try:
         yield
+    except ValueError as error:
+        raise ValueError(f"{path} {error}") from error
     except (KeyError, TypeError, IndexError, AttributeError) as error:
-        raise ValueError(f"{path}: its config is damaged: {error!r}") from error
+        raise ValueError(f"{path} has a damaged config: {error!r}") from error
 
 
-def check(path: str | PathLike[str], tensors: Mapping[str, Tensor], expected: Shapes) -> None:
+def check(tensors: Mapping[str, Tensor], expected: Shapes) -> None:
     """Refuse tensors that are not exactly the expected ones, of the expected types and shapes, and finite.
 
     Raises:
-        ValueError: naming the file, the tensor, and what is wrong with it.
+        ValueError: naming the tensor and what is wrong with it; `describing` adds the file.
     """
     if missing := sorted(set(expected) - set(tensors)):
-        raise ValueError(f"{path} lacks the tensor {', '.join(missing)}")
+        raise ValueError(f"lacks the tensor {', '.join(missing)}")
     if extra := sorted(set(tensors) - set(expected)):
-        raise ValueError(f"{path} holds unknown tensors: {', '.join(extra)}")
+        raise ValueError(f"holds unknown tensors: {', '.join(extra)}")
     for name, (dtype, shape) in expected.items():
         tensor = tensors[name]
         if tensor.dtype != dtype or tuple(tensor.shape) != shape:
             got = f"{tensor.dtype} {tuple(tensor.shape)}"
-            raise ValueError(f"{path}: {name} must be {dtype} {shape}, got {got}")
+            raise ValueError(f"holds a wrong tensor: {name} must be {dtype} {shape}, got {got}")
         if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
-            raise ValueError(f"{path}: {name} holds values that are not finite")
+            raise ValueError(f"holds a wrong tensor: {name} holds values that are not finite")

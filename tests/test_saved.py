@@ -94,6 +94,17 @@ def test_damaged_config(path: Path) -> None:
             ptt.TransferModel.load(path)
 
 
+def test_no_config_and_an_impossible_one(path: Path) -> None:
+    header, tensors = parts(path)
+    edit(path, {k: v for k, v in header.items() if k != "config"}, tensors)
+    with pytest.raises(ValueError, match=r"m.safetensors.*config"):
+        ptt.TransferModel.load(path)
+    header["config"]["regions"][1]["material"]["exponent"] = -1
+    edit(path, header, tensors)
+    with pytest.raises(ValueError, match=r"m.safetensors.*exponent must be finite"):
+        ptt.TransferModel.load(path)
+
+
 def test_a_pickle_is_refused_and_not_run(tmp_path: Path) -> None:
     class Evil:
         def __reduce__(self) -> tuple[Any, ...]:

@@ -40,12 +40,10 @@ class SparseTransfer(NamedTuple):
         kept = torch.bincount(row.flatten(), minlength=factors * len(factor)).reshape(-1, factors)  # shape: (v, i)
         first = kept.T.flatten().cumsum(0).reshape(factors, -1).T - kept  # of each row (i, v) in the result
         place = (first - kept.cumsum(1) + kept).gather(1, factor.long()) + torch.arange(factor.shape[1])
-        columns = torch.empty(place.numel(), dtype=torch.int16 if length <= 1 << 15 else torch.int32)
+        columns = torch.empty(place.numel(), dtype=_column_type(length))
         values = truncated.values.new_empty(place.numel())
-        columns[place.flatten()], values[place.flatten()] = (
-            column.flatten().to(columns.dtype),
-            truncated.values.flatten(),
-        )
+        columns[place.flatten()] = column.flatten().to(columns.dtype)
+        values[place.flatten()] = truncated.values.flatten()
         return cls(kept.T.int().contiguous(), columns, values)
 
     @classmethod
@@ -64,6 +62,10 @@ class SparseTransfer(NamedTuple):
         with torch.sparse.check_sparse_tensor_invariants(enable=False), warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Sparse CSR tensor support is in beta")
             return torch.sparse_csr_tensor(starts, self.columns.int(), self.values, size=size)
+
+
+def _column_type(length: int) -> torch.dtype:
+    return torch.int16 if length <= 1 << 15 else torch.int32
 
 
 class TransferModel(nn.Module):
@@ -128,31 +130,32 @@ class TransferModel(nn.Module):
         """
         config, tensors = saved.load(path, KIND)
         with saved.describing(path):
-            saved.check(path, tensors, _expected(config))
+            saved.check(tensors, _expected(config))
             t0 = SparseTransfer(*(tensors[name] for name in SparseTransfer._fields))
-            _check_rows(path, t0, Cube(config["resolution"]).cells)
+            _check_rows(t0, Cube(config["resolution"]).cells)
             parts = {name.removeprefix("brdf."): t for name, t in tensors.items() if name.startswith("brdf.")}
             brdf = TensorBRDF(BlinnPhongSpace(tuple(config["exponents"])), **parts)
             receivers = Receivers.restore(config, tensors)
             return cls(receivers, brdf, config["resolution"], t0, config["truncation_error"])
 
 
-def _check_rows(path: str | PathLike[str], t0: SparseTransfer, length: int) -> None:
+def _check_rows(t0: SparseTransfer, length: int) -> None:
     """A wrong row or column would read foreign memory."""
     if int(t0.kept.min()) < 0 or int(t0.kept.sum()) != len(t0.columns):
-        raise ValueError(f"{path}: kept must be at least 0 and sum to {len(t0.columns)}, got {int(t0.kept.sum())}")
+        raise ValueError(
+            f"holds wrong rows: kept must be at least 0 and sum to {len(t0.columns)}, got {int(t0.kept.sum())}"
+        )
     if int(t0.columns.min()) < 0 or int(t0.columns.max()) >= length:
-        raise ValueError(f"{path}: columns must be in 0..{length - 1}")
+        raise ValueError(f"holds wrong columns: columns must be in 0..{length - 1}")
 
 
 def _expected(config: dict[str, Any]) -> saved.Shapes:
     h, o, i = config["ranks"]
     n, count, samples = config["disk"], config["coefficients"], len(config["exponents"])
     v = sum(region["points"] for region in config["regions"])
-    small = torch.int16 if Cube(config["resolution"]).cells <= 1 << 15 else torch.int32
     return {
         "kept": (torch.int32, (1 + i, v)),
-        "columns": (small, (count,)),
+        "columns": (_column_type(Cube(config["resolution"]).cells), (count,)),
         "values": (torch.float32, (count,)),
         "brdf.core": (torch.float32, (h, o, i)),
         "brdf.u_h": (torch.float32, (samples, h)),

@@ -57,13 +57,6 @@ def multiply(core: Tensor, factors: Sequence[Tensor]) -> Tensor:
     return torch.einsum(f"{small},{pairs}->{large}", core, *factors)
 
 
-def relative_error(tensor: Tensor, approximation: Tensor) -> float:
-    """|A - B| / |A| in float64, from the residual itself (a difference of norms would cancel); 0 for 0 against 0."""
-    norm = float(tensor.double().norm())
-    residual = float((tensor.double() - approximation.double()).norm())
-    return residual / norm if norm else residual
-
-
 def _checked_ranks(tensor: Tensor, ranks: Sequence[int] | None, error: float | None) -> Sequence[int] | None:
     if (ranks is None) == (error is None):
         raise ValueError("give either ranks or error")
