@@ -57,7 +57,7 @@ def main() -> None:
 
 def furnace(table: Table) -> None:
     """Albedo 1 under 1 from everywhere: 1 on a convex body, never more where something is hidden."""
-    brdf = ptt.TensorBRDF.fit(ptt.BlinnPhongSpace((20.0,)), ranks=(1, 1, 1))
+    brdf = ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong((20.0,)), ranks=(1, 1, 1), separated=0)
 
     def radiance(scene: ptt.Scene, coefficients: int | None) -> Tensor:
         relighter = ptt.TransferRelighter(ptt.compress(ptt.precompute(scene), coefficients, brdf))
@@ -110,7 +110,7 @@ def bunny(table: Table, data: Path, vertices: int, samples: int) -> None:
         "diffuse": {name: ptt.lambert(0.5)},
         "Blinn-Phong 20": {name: ptt.blinn_phong(0.0, 1.0, 20.0)},
     }
-    brdf = ptt.TensorBRDF.fit(ptt.BlinnPhongSpace(), ranks=(4, 24, 24))
+    brdf = ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong(ptt.spaces.MODERATE), ranks=(4, 24, 24), separated=0)
     radiance = {keep: relit(raw, keep, brdf, light, materials, scene.camera) for keep in (None, 256, 96, 32)}
     how = f"{vertices} random vertices that face the camera, uffizi.hdr, tensor (4, 24, 24) of exponents 1..64"
     for kind, goal in (("diffuse", 0.01), ("Blinn-Phong 20", 0.03)):

@@ -69,7 +69,7 @@ def test_t0(benchmark: Any, scene: ptt.Scene) -> None:
     """T0 of 4 vertices of the knot and its truncation; the error is in the diffuse light under the sky."""
     first = int((scene.vertex_region == scene.region_index("knot")).nonzero()[0])
     raw = ptt.precompute(scene, index=torch.arange(first, first + 4))
-    brdf = ptt.TensorBRDF.fit(ptt.BlinnPhongSpace(), ranks=(4, 24, 24))
+    brdf = ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong(ptt.spaces.MODERATE), ranks=(4, 24, 24), separated=0)
     model = benchmark(ptt.compress, raw, 96, brdf)
     light = scene.environment
     assert light is not None

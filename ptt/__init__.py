@@ -10,7 +10,7 @@ ptt.render(scene, scene.camera, radiance).save("watch.png")
 from ptt import reference
 from ptt.compress import compress
 from ptt.environment import Environment
-from ptt.materials import BlinnPhong, CookTorrance, Material, blinn_phong, cook_torrance, lambert
+from ptt.materials import Material, blinn_phong, cook_torrance, ggx, lambert, ward
 from ptt.measured import MERL, NeuralBRDF
 from ptt.metrics import relative_rmse
 from ptt.models.tensor_brdf import TensorBRDF
@@ -19,18 +19,22 @@ from ptt.models.transfer_relighter import TransferRelighter
 from ptt.precompute import RawTransfer, precompute
 from ptt.render import Image, render
 from ptt.scene import Camera, Region, Scene
-from ptt.spaces import BlinnPhongSpace, CookTorranceSpace, fitted
+from ptt.shapes import GGX, Blend, BlinnPhong, CookTorrance, Named, Ward
+from ptt.spaces import BRDFSpace, fitted
+from ptt.tabulated import separate, tabulated
 
 __all__ = [
+    "GGX",
     "MERL",
+    "BRDFSpace",
+    "Blend",
     "BlinnPhong",
-    "BlinnPhongSpace",
     "Camera",
     "CookTorrance",
-    "CookTorranceSpace",
     "Environment",
     "Image",
     "Material",
+    "Named",
     "NeuralBRDF",
     "RawTransfer",
     "Region",
@@ -38,13 +42,18 @@ __all__ = [
     "TensorBRDF",
     "TransferModel",
     "TransferRelighter",
+    "Ward",
     "blinn_phong",
     "compress",
     "cook_torrance",
     "fitted",
+    "ggx",
     "lambert",
     "precompute",
     "reference",
     "relative_rmse",
     "render",
+    "separate",
+    "tabulated",
+    "ward",
 ]

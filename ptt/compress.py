@@ -14,10 +14,10 @@ from ptt.models.transfer_model import SparseTransfer, TransferModel
 from ptt.ops import haar, transfer
 from ptt.ops.sphere import Cube
 from ptt.precompute import RawTransfer
-from ptt.spaces import BlinnPhongSpace
+from ptt.spaces import MODERATE, BRDFSpace
 
 BLOCK_BYTES = 5e6  # of T0 at once: what stays in the cache is transformed three times as fast
-SPACE = BlinnPhongSpace()
+SPACE = BRDFSpace.blinn_phong(MODERATE)
 RANKS = (4, 24, 24)  # BRDF, outgoing and incident factors
 ALWAYS = 1e9  # weight of the means of the faces
 
@@ -45,7 +45,7 @@ def compress(
     keep = grid.cells if coefficients is None else coefficients
     if not 6 <= keep <= grid.cells:
         raise ValueError(f"coefficients must be in 6..{grid.cells}, got {keep}")
-    brdf = brdf or TensorBRDF.fit(SPACE, ranks=RANKS)
+    brdf = brdf or TensorBRDF.fit(SPACE, ranks=RANKS, separated=0)
     weights = _weights(brdf, grid)
     kept, whole, left = [], 0.0, 0.0
     with tqdm(total=len(raw.receivers), desc="transfer", unit=" points", disable=not progress) as bar:

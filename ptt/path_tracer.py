@@ -14,10 +14,11 @@ from torch import Tensor
 from tqdm import tqdm
 
 from ptt.environment import Environment
-from ptt.materials import BlinnPhong, CookTorrance, Material
+from ptt.materials import Material
 from ptt.ops.raycast import Hits
-from ptt.ops.sampling import BeckmannLobe, Mixture, PowerLobe
+from ptt.ops.sampling import BeckmannLobe, GGXLobe, Mixture, PowerLobe
 from ptt.scene import Scene
+from ptt.shapes import GGX, BlinnPhong, CookTorrance, Ward
 
 BATCHES = 64  # at least so many where there are as many samples: the standard error is then good to 9 %
 LATTICE = 256  # samples a batch, at most
@@ -202,6 +203,10 @@ def _mixture(material: Material) -> Mixture:
             return Mixture(PowerLobe(float(exponent)), _share(material, 1.0))
         case CookTorrance(f0, m):
             return Mixture(BeckmannLobe(float(m)), _share(material, 4 / math.pi * max(float(f0), 0.1)))
+        case Ward(ax, ay):
+            return Mixture(BeckmannLobe(float(ax), float(ax if ay is None else ay)), _share(material, 1.0))
+        case GGX(f0, roughness):
+            return Mixture(GGXLobe(float(roughness)), _share(material, max(float(f0), 0.1)))
     return Mixture()
 
 

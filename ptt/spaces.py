@@ -4,105 +4,123 @@ from __future__ import annotations
 
 import csv
 import difflib
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from importlib import resources
 from itertools import pairwise
+from typing import Any, overload
 
-import numpy as np
 import torch
-from scipy.spatial import Delaunay
 from torch import Tensor, nn
 
-from ptt.materials import BlinnPhong, CookTorrance, Material, Shape
+from ptt import materials as mat
+from ptt import shapes
+from ptt.materials import Material
+from ptt.ops.simplices import Simplices
+from ptt.shapes import GGX, Analytic, Blend, BlinnPhong, CookTorrance, Named, Number, Shape, Ward
 
+BRDF = Callable[[Tensor, Tensor], Tensor]  # f(wi, wo): (..., 3), (..., 3) -> (...) [1/sr]
 MERL_SCALE = 1.0, 1.15, 1.66  # of the colours: the published fits lack it
+EXPONENTS = tuple(200 ** (k / 40) for k in range(41))  # 1..200, a seventh apart
+MODERATE = tuple(2 ** (k / 4) for k in range(25))  # 1..64: what a tensor shows well without lobes
+SLOPES = tuple(0.03 * 30 ** (k / 24) for k in range(25))  # 0.03..0.9
+ROUGHNESSES = tuple(0.1 ** (1 - k / 24) for k in range(25))  # 0.1..1
 
 
-@dataclass(frozen=True)
-class BlinnPhongSpace:
-    """Blinn-Phong shapes between sampled exponents, linear in between.
+@dataclass(frozen=True, eq=False)
+class BRDFSpace:
+    """Sampled shapes: those of one analytic model, with what lies between them, and any number of named BRDFs.
 
-    exponents: ascending, in 0..1e6. The default reaches from 1 to 64, four samples to a factor of two: sharper
-        highlights do not fit a small tensor.
+    samples (h): analytic shapes of one model of which one or two parameters vary, and `Named` ones of the user's own
+    materials: by name, those that `material` and `path` know
+    clamped: an analytic shape outside of the samples is the nearest one inside (True), or refused
+
+    Between analytic samples the space is linear: along exponents, barycentric in a triangulated plane.
+
+        space = BRDFSpace.fitted()
+        space.material("gold-metallic-paint")
+        space.at(F0=0.4, m=0.2)
+        space.path("gold-metallic-paint", "chrome", steps=24)       # an animation
+
+    Raises:
+        ValueError: no samples, analytic ones of several models, or the same sample twice.
+
+    Sun et al. 2007, section 4.2.
     """
 
-    exponents: tuple[float, ...] = tuple(2 ** (k / 4) for k in range(25))
+    samples: tuple[Shape, ...]
+    materials: Mapping[str, Material] = field(default_factory=dict)
+    clamped: bool = False
 
     def __post_init__(self) -> None:
-        if not self.exponents or any(a >= b for a, b in pairwise(self.exponents)):
-            raise ValueError(f"exponents must hold ascending values, got {self.exponents}")
+        if not self.samples or any(isinstance(s, Blend) for s in self.samples):
+            raise ValueError("samples must hold at least one shape, and no Blend")
+        if len(models := {s.model for s in self._analytic}) > 1:
+            raise ValueError(f"analytic samples must be of one model, got {', '.join(sorted(models))}")
+        if len({str(shapes.to_config(s)) for s in self.samples}) < len(self.samples):
+            raise ValueError("samples must differ, got the same parameters or the same name twice")
+        if self._analytic:
+            _ = self._simplices  # refuses now what it cannot triangulate
 
-    @property
-    def samples(self) -> tuple[BlinnPhong, ...]:
-        """The shapes that a tensor is fitted to, h of them."""
-        return tuple(BlinnPhong(exponent) for exponent in self.exponents)
-
-    def at(self, exponent: float) -> BlinnPhong:
-        """The shape of an exponent.
-
-        Raises:
-            ValueError: it lies outside of the samples.
-        """
-        self.coordinates(shape := BlinnPhong(exponent))
-        return shape
-
-    def path(self, start: BlinnPhong, end: BlinnPhong, steps: int) -> list[BlinnPhong]:
-        """Shapes from start to end, both included, evenly spaced in the exponent."""
-        return [self.at(x) for x in torch.linspace(float(start.exponent), float(end.exponent), steps).tolist()]
-
-    def coordinates(self, shape: Shape) -> Tensor:
-        """Weights (h,) of the samples, float64, that interpolate a shape; differentiable in its exponent.
+    @classmethod
+    def blinn_phong(cls, exponents: Sequence[float] = EXPONENTS) -> BRDFSpace:
+        """Ascending exponents; the default has 41 in 1..200, where the paper has every integer.
 
         Raises:
-            ValueError: a shape of another model, or an exponent outside of the samples.
+            ValueError: not ascending, or outside of 0..1e6.
         """
-        if not isinstance(shape, BlinnPhong):
-            raise ValueError(f"the model's space holds blinn-phong shapes, got {shape.model}")
-        nodes = torch.tensor(self.exponents, dtype=torch.float64)
-        x = torch.as_tensor(shape.exponent, dtype=torch.float64).cpu()
-        low, high, value = self.exponents[0], self.exponents[-1], float(x.detach())
-        if not low * (1 - 1e-6) <= value <= high * (1 + 1e-6):
-            raise ValueError(f"exponent must be in {low:g}..{high:g}, the model's space, got {value:g}")
-        after = min(int((nodes <= value).sum()), len(nodes) - 1)
-        before = max(after - 1, 0)
-        ends = nn.functional.one_hot(torch.tensor([before, after]), len(nodes)).double()
-        t = (x - nodes[before]) / (nodes[after] - nodes[before]) if before < after else x * 0
-        return ends[0] + t * (ends[1] - ends[0])
-
-
-@dataclass(frozen=True)
-class CookTorranceSpace:
-    """Cook-Torrance shapes triangulated in the plane of (f0, m): barycentric inside their hull, clamped to it outside.
-
-    names, f0, m, diffuse, specular: of each sample; the names and colours are those that `material` gives.
-    """
-
-    names: tuple[str, ...]
-    f0: tuple[float, ...]
-    m: tuple[float, ...]
-    diffuse: tuple[tuple[float, ...], ...]
-    specular: tuple[tuple[float, ...], ...]
+        if not exponents or any(a >= b for a, b in pairwise(exponents)):
+            raise ValueError(f"exponents must hold ascending values, got {tuple(exponents)}")
+        return cls(tuple(BlinnPhong(float(n)) for n in exponents))
 
     @classmethod
     @cache
-    def fitted(cls) -> CookTorranceSpace:
-        """The 86 materials of Ngan et al. 2005 (`ptt/data/README.md`), in MERL's colours."""
+    def fitted(cls) -> BRDFSpace:
+        """The 86 Cook-Torrance materials of Ngan et al. 2005 (`ptt/data/README.md`), in MERL's colours."""
         text = resources.files("ptt").joinpath("data", "ngan_cooktorrance.csv").read_text()
-        rows = list(csv.DictReader(text.splitlines()))
 
-        def colours(name: str) -> tuple[tuple[float, ...], ...]:
-            scaled = zip("rgb", MERL_SCALE, strict=True)
-            columns = [[scale * float(row[f"{name}_{c}"]) for row in rows] for c, scale in scaled]
-            return tuple(zip(*columns, strict=True))
+        def material(row: dict[str, str]) -> Material:
+            kd, ks = (
+                [scale * float(row[f"{k}_{c}"]) for scale, c in zip(MERL_SCALE, "rgb", strict=True)]
+                for k in ("kd", "ks")
+            )
+            return Material(kd, ks, CookTorrance(float(row["F0"]), float(row["m"])))
 
-        f0, m = (tuple(float(row[key]) for row in rows) for key in ("F0", "m"))
-        return cls(tuple(row["material"] for row in rows), f0, m, colours("kd"), colours("ks"))
+        named = {row["material"]: material(row) for row in csv.DictReader(text.splitlines())}
+        return cls(tuple(m.shape for m in named.values() if m.shape), named, clamped=True)
+
+    @classmethod
+    def ward(cls, slopes: Sequence[float] = SLOPES, anisotropic: bool = False) -> BRDFSpace:
+        """Ward shapes of the given slopes; anisotropic ones of all pairs of them."""
+        if anisotropic:
+            return cls(tuple(Ward(x, y) for x in slopes for y in slopes))
+        return cls(tuple(Ward(x) for x in slopes))
+
+    @classmethod
+    def ggx(cls, roughnesses: Sequence[float] = ROUGHNESSES) -> BRDFSpace:
+        """GGX shapes of the given roughnesses with F0 0 and 1: Schlick's reflectance is linear in between."""
+        return cls(tuple(GGX(f0, r) for r in roughnesses for f0 in (0.0, 1.0)))
+
+    @classmethod
+    def user(cls, brdfs: Mapping[str, BRDF | Material]) -> BRDFSpace:
+        """BRDFs of one's own by name: functions f(wi, wo) (..., 3), (..., 3) -> (...) [1/sr], or materials.
+
+        `ptt.measured.separate` makes a material of RGB data, `ptt.measured.tabulated` a function of a table.
+        """
+        named = {name: _named_material(name, given) for name, given in brdfs.items()}
+        return cls(tuple(m.shape for m in named.values() if m.shape), named)
 
     @property
-    def samples(self) -> tuple[CookTorrance, ...]:
-        """The shapes, h of them."""
-        return tuple(CookTorrance(f0, m) for f0, m in zip(self.f0, self.m, strict=True))
+    def isotropic(self) -> bool:
+        """Whether every sample is."""
+        return all(shape.isotropic for shape in self.samples)
+
+    def with_brdf(self, name: str, brdf: BRDF | Material) -> BRDFSpace:
+        """The space with one more sample: a function f(wi, wo), or a material's shape, by name."""
+        material = _named_material(name, brdf)
+        assert material.shape is not None
+        return replace(self, samples=(*self.samples, material.shape), materials={**self.materials, name: material})
 
     def material(self, name: str) -> Material:
         """The material of that name.
@@ -110,57 +128,135 @@ class CookTorranceSpace:
         Raises:
             ValueError: no such name; the message suggests the nearest ones.
         """
-        if name not in self.names:
-            near = difflib.get_close_matches(name, self.names, 5, 0.3)
-            raise ValueError(f"no material {name!r} among {len(self.names)}; near it: {', '.join(near) or 'none'}")
-        h = self.names.index(name)
-        return Material(self.diffuse[h], self.specular[h], self.samples[h])
+        if name not in self.materials:
+            near = difflib.get_close_matches(name, self.materials, 5, 0.3)
+            raise ValueError(f"no material {name!r} among {len(self.materials)}; near it: {', '.join(near) or 'none'}")
+        return self.materials[name]
 
-    def at(self, f0: float, m: float) -> CookTorrance:
-        """The shape at a point of the plane; outside of the hull, that of the nearest point in it."""
-        f0, m = (self.coordinates(CookTorrance(f0, m)) @ self._plane).tolist()
-        return CookTorrance(f0, m)
-
-    def path(self, start: CookTorrance, end: CookTorrance, steps: int) -> list[CookTorrance]:
-        """Shapes from start to end, both included, evenly spaced in the plane."""
-        ends = torch.tensor([[float(s.f0), float(s.m)] for s in (start, end)], dtype=torch.float64)
-        along = torch.linspace(0, 1, steps, dtype=torch.float64)[:, None]
-        return [self.at(*point) for point in (ends[0] + along * (ends[1] - ends[0])).tolist()]
-
-    def coordinates(self, shape: Shape) -> Tensor:
-        """Weights (h,) of the samples, float64: at most three, >= 0, that sum to 1; differentiable in f0 and m.
+    def at(self, **parameters: Number) -> Shape:
+        """The analytic shape with these parameters: `space.at(F0=0.4, m=0.2)` (or f0).
 
         Raises:
-            ValueError: a shape of another model.
+            ValueError: unknown or missing parameters, or a point outside of a space that does not clamp.
         """
-        if not isinstance(shape, CookTorrance):
-            raise ValueError(f"the model's space holds cook-torrance shapes, got {shape.model}")
-        point = torch.stack([torch.as_tensor(x, dtype=torch.float64).cpu() for x in (shape.f0, shape.m)])
-        triangle = int(self._triangles.find_simplex(point.detach().numpy(), tol=1e-9))
-        if triangle < 0:
-            return self._on_hull(point)
-        corners = torch.from_numpy(self._triangles.simplices[triangle].astype(np.int64))
-        a, b, c = self._plane[corners]
-        u, v = torch.linalg.solve(torch.stack((b - a, c - a), 1), point - a)
-        weights = torch.stack((1 - u - v, u, v)).clamp(min=0)
-        return torch.zeros(len(self.f0), dtype=torch.float64).index_put((corners,), weights / weights.sum())
+        if not self._analytic:
+            raise ValueError(f"the space holds BRDFs by name, not by parameters: {', '.join(self.materials)}")
+        try:
+            shape = type(self._analytic[0])(**{name.lower(): value for name, value in parameters.items()})
+        except TypeError as error:
+            valid = ", ".join(shapes.parameters(self._analytic[0]))
+            raise ValueError(f"parameters must be {valid}, got {', '.join(parameters) or 'none'}") from error
+        reached = self.coordinates(shape)[: len(self._analytic)] @ self._simplices.points
+        return replace(shape, **dict(zip(self._axes, reached.tolist(), strict=True))) if self.clamped else shape
 
-    def _on_hull(self, point: Tensor) -> Tensor:
-        """Weights of the nearest point on the hull's edges."""
-        edges = torch.from_numpy(self._triangles.convex_hull.astype(np.int64))
-        a, b = self._plane[edges].unbind(1)
-        t = (((point - a) * (b - a)).sum(1) / (b - a).square().sum(1)).clamp(0, 1)
-        nearest = int((a + t[:, None] * (b - a) - point).norm(dim=1).argmin())
-        weights = torch.stack((1 - t[nearest], t[nearest]))
-        return torch.zeros(len(self.f0), dtype=torch.float64).index_put((edges[nearest],), weights)
+    @overload
+    def path(self, start: Shape, end: Shape, steps: int) -> list[Shape]: ...
+    @overload
+    def path(self, start: Material | str, end: Material | str, steps: int) -> list[Material]: ...
+    def path(self, start: Shape | Material | str, end: Shape | Material | str, steps: int) -> list[Any]:
+        """Even steps from start to end, both included: shapes between shapes, materials between materials or names.
+
+        Analytic shapes move along a line through their parameters, named BRDFs blend.
+
+        Raises:
+            ValueError: fewer than two steps, an unknown name, or an end outside of the space.
+        """
+        if steps < 2:
+            raise ValueError(f"steps must be at least 2, got {steps}")
+        start, end = (self.material(x) if isinstance(x, str) else x for x in (start, end))
+        along = torch.linspace(0, 1, steps, dtype=torch.float64).tolist()
+        if isinstance(start, Material) and isinstance(end, Material):
+            return [self._material_between(start, end, t) for t in along]
+        if isinstance(start, Material) or isinstance(end, Material):
+            raise ValueError("start and end must both be shapes, or both materials or names")
+        return [self._between(start, end, t) for t in along]
+
+    def coordinates(self, shape: Shape) -> Tensor:
+        """Weights (h,) of the samples, float64, that interpolate a shape; differentiable in its parameters.
+
+        They are >= 0, at most three of them are not zero, and they sum to 1 (those of a `Blend`: to its weights' sum).
+
+        Raises:
+            ValueError: a shape of another model, an unknown name, or parameters outside of the samples.
+        """
+        if isinstance(shape, Blend):
+            parts = zip(shape.weights, shape.shapes, strict=True)
+            return torch.stack([torch.as_tensor(w).cpu() * self.coordinates(s) for w, s in parts]).sum(0)
+        if isinstance(shape, Named):
+            return self._by_name(shape.name)
+        if not self._analytic or shape.model != self._analytic[0].model:
+            raise ValueError(f"the model's space holds {self._models} shapes, got {shape.model}")
+        weights = self._simplices.weights(self._place(shape))
+        return nn.functional.pad(weights, (0, len(self.samples) - len(weights)))
+
+    def to_config(self) -> dict[str, Any]:
+        """The space as plain values; functions of named BRDFs are left out."""
+        materials = {name: mat.to_config(material) for name, material in self.materials.items()}
+        samples = [shapes.to_config(shape) for shape in self.samples]
+        return {"samples": samples, "materials": materials, "clamped": self.clamped}
+
+    @classmethod
+    def from_config(cls, config: Mapping[str, Any]) -> BRDFSpace:
+        """The inverse of `to_config`; named BRDFs come back without their functions."""
+        materials = {name: mat.from_config(material) for name, material in config["materials"].items()}
+        return cls(tuple(shapes.from_config(s) for s in config["samples"]), materials, config["clamped"])
+
+    def _by_name(self, name: str) -> Tensor:
+        names = [s.name if isinstance(s, Named) else None for s in self.samples]
+        if name not in names:
+            known = ", ".join(n for n in names if n) or "none"
+            raise ValueError(f"no BRDF {name!r} in the space, whose named ones are: {known}; see with_brdf")
+        return nn.functional.one_hot(torch.tensor(names.index(name)), len(names)).double()
+
+    def _place(self, shape: Shape) -> Tensor:
+        """A shape as a point (d,) on the axes that vary.
+
+        Raises:
+            ValueError: it lies outside of a space that does not clamp, or differs in what does not vary.
+        """
+        given, first = shapes.parameters(shape), shapes.parameters(self._analytic[0])
+        if given.keys() != first.keys():
+            raise ValueError(f"{shape.model} must have {', '.join(first)} here, got {', '.join(given)}")
+        points = self._simplices.points
+        low, high = points.amin(0).tolist(), points.amax(0).tolist()
+        bounds = dict(zip(self._axes, zip(low, high, strict=True), strict=True))
+        for name, value in given.items():
+            a, b = bounds.get(name, (float(first[name]),) * 2)
+            if not self.clamped and not a * (1 - 1e-6) <= _number(value) <= b * (1 + 1e-6):
+                raise ValueError(f"{name} must be in {a:g}..{b:g}, the model's space, got {_number(value):g}")
+        return torch.stack([torch.as_tensor(given[name], dtype=torch.float64).cpu() for name in self._axes])
+
+    def _between(self, start: Shape, end: Shape, t: float) -> Shape:
+        if isinstance(start, Named) or isinstance(end, Named) or isinstance(start, Blend) or isinstance(end, Blend):
+            return Blend((start, end), (1 - t, t))
+        ends = zip(shapes.parameters(start).items(), shapes.parameters(end).values(), strict=True)
+        return self.at(**{name: float(a) + t * (float(b) - float(a)) for (name, a), b in ends})
+
+    def _material_between(self, start: Material, end: Material, t: float) -> Material:
+        if start.shape is None or end.shape is None:
+            raise ValueError("both materials of a path must have a shape")
+        diffuse, specular = (torch.lerp(getattr(start, k), getattr(end, k), t) for k in ("diffuse", "specular"))
+        return Material(diffuse, specular, self._between(start.shape, end.shape, t))
+
+    @property
+    def _models(self) -> str:
+        return ", ".join(sorted({shape.model for shape in self.samples}))
 
     @cached_property
-    def _plane(self) -> Tensor:
-        return torch.tensor([self.f0, self.m], dtype=torch.float64).T.contiguous()
+    def _analytic(self) -> tuple[Analytic, ...]:
+        return tuple(s for s in self.samples if isinstance(s, Analytic))
 
     @cached_property
-    def _triangles(self) -> Delaunay:
-        return Delaunay(self._plane.numpy())
+    def _axes(self) -> tuple[str, ...]:
+        """Names of the parameters that vary among the analytic samples; of a single sample, its first."""
+        table = [shapes.parameters(s) for s in self._analytic]
+        varying = tuple(name for name in table[0] if len({float(row[name]) for row in table}) > 1)
+        return varying or tuple(table[0])[:1]
+
+    @cached_property
+    def _simplices(self) -> Simplices:
+        points = [[float(shapes.parameters(s)[name]) for name in self._axes] for s in self._analytic]
+        return Simplices(torch.tensor(points, dtype=torch.float64))
 
 
 def fitted(name: str) -> Material:
@@ -169,4 +265,17 @@ def fitted(name: str) -> Material:
     Raises:
         ValueError: no such name; the message suggests the nearest ones.
     """
-    return CookTorranceSpace.fitted().material(name)
+    return BRDFSpace.fitted().material(name)
+
+
+def _number(value: Number) -> float:
+    return float(value.detach()) if isinstance(value, Tensor) else value
+
+
+def _named_material(name: str, given: BRDF | Material) -> Material:
+    """Under its own name, so that edits of its colours keep the shape."""
+    if not isinstance(given, Material):
+        return Material(0.0, 1.0, Named(name, given))
+    if given.shape is None:
+        raise ValueError(f"material {name!r} must have a shape")
+    return Material(given.diffuse, given.specular, Named(name, given.shape.evaluate, given.shape.isotropic))

@@ -33,7 +33,7 @@ def main() -> None:
     raw = ptt.RawTransfer.load(config.raw)
 
     start = time.perf_counter()
-    brdf = ptt.TensorBRDF.fit(ptt.BlinnPhongSpace(), ranks=config.ranks)
+    brdf = ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong(ptt.spaces.MODERATE), ranks=config.ranks, separated=0)
     model = ptt.compress(raw, config.coefficients, brdf, progress=True)
     seconds = time.perf_counter() - start
 

@@ -67,7 +67,7 @@ def main() -> None:
     region = config.region or names[min(1, len(names) - 1)]
     edited = ptt.blinn_phong(config.diffuse, config.specular, config.exponent)
     scene.region_index(region)  # an unknown name, or a shape that no model shows, ends it before the long work
-    ptt.BlinnPhongSpace().coordinates(edited.shape)
+    ptt.BRDFSpace.blinn_phong(ptt.spaces.MODERATE).coordinates(edited.shape)
 
     # trace and compress, or load
     if config.model is None:

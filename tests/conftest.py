@@ -41,4 +41,8 @@ def small_raw(small_scene: ptt.Scene) -> ptt.RawTransfer:
 
 @pytest.fixture(scope="session")
 def small_model(small_raw: ptt.RawTransfer) -> ptt.TransferModel:
-    return ptt.compress(small_raw, 64, ptt.TensorBRDF.fit(ptt.BlinnPhongSpace(), ranks=(3, 10, 10)))
+    return ptt.compress(
+        small_raw,
+        64,
+        ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong(ptt.spaces.MODERATE), ranks=(3, 10, 10), separated=0),
+    )

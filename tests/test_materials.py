@@ -50,7 +50,9 @@ def test_config_round_trip(material: ptt.Material) -> None:
 
 
 def test_unknown_models_and_keys_list_the_valid_ones() -> None:
-    with pytest.raises(ValueError, match="model must be one of lambert, blinn-phong, cook-torrance, got 'phong'"):
+    with pytest.raises(
+        ValueError, match="model must be one of lambert, blinn-phong, cook-torrance, ward, ggx, got 'phong'"
+    ):
         materials.from_config({"model": "phong"})
     with pytest.raises(ValueError, match=r"'shininess'; valid are diffuse, specular, exponent"):
         materials.from_config({"model": "blinn-phong", "shininess": 3})

@@ -10,8 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from ptt.ops.brdf import ggx, ward
 from ptt.ops.sampling import (
     BeckmannLobe,
+    GGXLobe,
     Lobe,
     Mixture,
     PowerLobe,
@@ -22,7 +24,9 @@ from ptt.ops.sampling import (
 
 POWERS = [PowerLobe(n) for n in (0.0, 1.0, 20.0, 1000.0, 1e5)]
 BECKMANNS = [BeckmannLobe(m) for m in (0.01, 0.1, 0.5)]
-LOBES: list[Lobe] = [*POWERS, *BECKMANNS]
+WARDS = [BeckmannLobe(*m) for m in ((0.05, 0.4), (0.3, 0.02))]
+GGXS = [GGXLobe(roughness) for roughness in (0.1, 0.3, 1.0)]
+LOBES: list[Lobe] = [*POWERS, *BECKMANNS, *WARDS, *GGXS]
 TILTS = (0.0, 30.0, 60.0, 85.0)
 
 
@@ -31,7 +35,7 @@ def tilted(degrees: float) -> Tensor:
     return torch.tensor([math.sin(a) * 0.6, math.sin(a) * 0.8, math.cos(a)], dtype=torch.float64)
 
 
-def half_vectors(finest: float, rings: int = 500, turns: int = 64) -> tuple[Tensor, Tensor]:
+def half_vectors(finest: float, rings: int = 500, turns: int = 256) -> tuple[Tensor, Tensor]:
     """Half vectors (m, 3) and weights (m,) of a quadrature of the upper hemisphere.
 
     Gauss-Legendre in log(t + finest), t the angle to the normal, so that a lobe of width `finest` is resolved.
@@ -56,7 +60,9 @@ def sphere(wo: Tensor, finest: float) -> tuple[Tensor, Tensor]:
 
 
 def width(lobe: Lobe) -> float:
-    return 1 / math.sqrt(lobe.exponent + 1) if isinstance(lobe, PowerLobe) else lobe.m
+    if isinstance(lobe, PowerLobe):
+        return 1 / math.sqrt(lobe.exponent + 1)
+    return lobe.roughness**2 if isinstance(lobe, GGXLobe) else min(lobe.mx, lobe.my or lobe.mx)
 
 
 @pytest.mark.parametrize(("lobe", "tilt"), list(product(LOBES, TILTS)), ids=str)
@@ -72,6 +78,27 @@ def test_density_of_a_mixture_integrates_to_one(lobe: Lobe, tilt: float) -> None
 def test_density_of_half_vectors_integrates_to_one(lobe: Lobe) -> None:
     h, weights = half_vectors(0.1 * width(lobe))
     assert float((lobe.density(h) * weights).sum()) == pytest.approx(1, abs=1e-5)
+
+
+@pytest.mark.parametrize("lobe", [*BECKMANNS, *WARDS], ids=str)
+def test_beckmann_half_vectors_are_those_of_ward(lobe: BeckmannLobe) -> None:
+    """At wi = wo = h, where vh = 1, Ward's BRDF is the density over 4 hz; the absolute bound is for denormals."""
+    h, _ = half_vectors(0.1 * width(lobe))
+    assert torch.allclose(lobe.density(h), 4 * h[:, 2] * ward(h, h, lobe.mx, lobe.my), rtol=1e-9, atol=1e-300)
+
+
+@pytest.mark.parametrize("lobe", GGXS, ids=str)
+def test_ggx_half_vectors_are_those_of_ggx(lobe: GGXLobe) -> None:
+    """At wi = wo = h and f0 = 1 the BRDF is D / (4 hz sqrt(hz^2 + a^2 sin^2)); the density is D hz."""
+    h, _ = half_vectors(0.1 * width(lobe))
+    masked = 4 * h[:, 2] * torch.hypot(h[:, 2], lobe.roughness**2 * h[:, :2].norm(dim=1))
+    assert torch.allclose(lobe.density(h), h[:, 2] * masked * ggx(h, h, 1.0, lobe.roughness), rtol=1e-9, atol=0)
+
+
+@pytest.mark.parametrize("lobe", LOBES, ids=str)
+def test_density_is_blind_to_the_sign_of_the_half_vector(lobe: Lobe) -> None:
+    h, _ = half_vectors(0.1 * width(lobe))
+    assert torch.equal(lobe.density(h), lobe.density(-h))
 
 
 @pytest.mark.parametrize(("lobe", "tilt"), list(product([None, *LOBES], TILTS)), ids=str)
@@ -93,14 +120,15 @@ def test_samples_follow_the_density(lobe: Lobe | None, tilt: float) -> None:
 
 
 def _moments(mirror: Tensor, scale: float) -> list:  # type: ignore[type-arg]
-    """Smooth bumps of three widths about the mirror direction, one off it, and the height above the horizon."""
+    """Smooth bumps of three widths about the mirror direction, one off it, the height, and the spread along x."""
     beside = mirror + mirror.new_tensor([0.5, -0.3, 0.1]) * min(scale, 1.0)
     beside = beside / beside.norm()
 
     def bump(axis: Tensor, size: float):  # type: ignore[no-untyped-def]
         return lambda w: torch.exp(-((w - axis).square().sum(-1)) / (2 * size * size))
 
-    return [*(bump(mirror, scale * k) for k in (0.3, 1.0, 3.0)), bump(beside, scale), lambda w: w[..., 2]]
+    bumps = [*(bump(mirror, scale * k) for k in (0.3, 1.0, 3.0)), bump(beside, scale)]
+    return [*bumps, lambda w: w[..., 2], lambda w: w[..., 0] ** 2]
 
 
 @pytest.mark.parametrize("lobe", LOBES, ids=str)

@@ -87,7 +87,7 @@ def test_unknown_schema_other_kind_and_foreign_files(path: Path) -> None:
 
 def test_damaged_config(path: Path) -> None:
     header, tensors = parts(path)
-    for key in ("resolution", "regions", "ranks", "exponents"):
+    for key in ("resolution", "regions", "ranks", "space"):
         config = {k: v for k, v in header["config"].items() if k != key}
         edit(path, header | {"config": config}, tensors)
         with pytest.raises(ValueError, match=f"m.safetensors.*{key}"):

@@ -17,10 +17,11 @@ from PIL import Image
 from torch import Tensor
 
 from ptt.io import from_srgb
-from ptt.materials import BlinnPhong, CookTorrance, lambert
+from ptt.materials import lambert
 from ptt.meshes import Part
 from ptt.ops import mesh
 from ptt.scene import Camera, Scene
+from ptt.shapes import BlinnPhong, CookTorrance
 
 
 def sound(scene: Scene) -> None:
@@ -501,7 +502,7 @@ def test_rotations_are_right_handed_about_x_then_y_then_z(
         ),
         (r"camera: .*missing.*target", "[camera]\neye = [0, 0, 1]\n" + BOX),
         (r"plane: unknown 'cell'; valid are size, cells", '[[region]]\nname = "a"\nplane = { cell = 3 }'),
-        (r"one of lambert, blinn-phong, cook-torrance, got 'phong'", BOX + 'material = { model = "phong" }'),
+        (r"one of lambert, blinn-phong, cook-torrance, ward, ggx, got 'phong'", BOX + 'material = { model = "phong" }'),
         (r"material: unknown 'shininess'", BOX + 'material = { model = "lambert", shininess = 1 }'),
         (r"diffuse must be finite and in \[0, 1\]", BOX + 'material = { model = "lambert", diffuse = 2 }'),
         (r"one of mesh, plane, sphere, box, torus, got none", '[[region]]\nname = "a"'),

@@ -9,7 +9,9 @@ import torch
 from torch import Tensor
 
 import ptt
-from ptt import BlinnPhongSpace
+from ptt import BRDFSpace
+
+SPACE = BRDFSpace.blinn_phong(tuple(2 ** (k / 4) for k in range(25)))
 
 
 def cosine_directions(n: int, seed: int) -> Tensor:
@@ -21,7 +23,7 @@ def cosine_directions(n: int, seed: int) -> Tensor:
 
 @pytest.fixture(scope="module")
 def tensor() -> ptt.TensorBRDF:
-    return ptt.TensorBRDF.fit(BlinnPhongSpace(), ranks=(4, 24, 24))
+    return ptt.TensorBRDF.fit(SPACE, ranks=(4, 24, 24), separated=0)
 
 
 @pytest.mark.parametrize("k", [0, 8, 16])
@@ -42,7 +44,7 @@ def test_reciprocal_up_to_its_error(tensor: ptt.TensorBRDF) -> None:
 
 
 def test_more_factors_are_better_and_error_bounds_are_met() -> None:
-    space = BlinnPhongSpace((2.0, 5.0, 10.0))
+    space = BRDFSpace.blinn_phong((2.0, 5.0, 10.0))
     errors = [float(ptt.TensorBRDF.fit(space, ranks=(3, n, n), resolution=24).error.norm()) for n in (4, 8, 16)]
     assert errors[0] > errors[1] > errors[2]
     bounded = ptt.TensorBRDF.fit(space, error=0.05, resolution=24)

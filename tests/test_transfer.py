@@ -15,13 +15,13 @@ from ptt.ops.sphere import Cube
 
 
 def relight(scene: ptt.Scene, environment: ptt.Environment, resolution: int = 64, coefficients: int | None = 96):
-    brdf = ptt.TensorBRDF.fit(ptt.BlinnPhongSpace((20.0,)), ranks=(1, 1, 1))
+    brdf = ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong((20.0,)), ranks=(1, 1, 1), separated=0)
     model = ptt.compress(ptt.precompute(scene, resolution), coefficients, brdf)
     return ptt.TransferRelighter(model)(environment, scene.materials, torch.tensor([0.0, 50.0, 0.0]))
 
 
 def small_brdf() -> ptt.TensorBRDF:
-    return ptt.TensorBRDF.fit(ptt.BlinnPhongSpace((4.0, 20.0)), ranks=(2, 4, 4))
+    return ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong((4.0, 20.0)), ranks=(2, 4, 4), separated=0)
 
 
 def test_white_furnace_of_a_convex_body() -> None:

@@ -4,28 +4,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from ptt.materials import Shape
-from ptt.ops import transfer, tucker
+from ptt.materials import Material
+from ptt.ops import lobes, transfer, tucker
 from ptt.ops.sphere import Disk
-from ptt.spaces import BlinnPhongSpace
+from ptt.shapes import Shape
+from ptt.spaces import BRDF, BRDFSpace
 
 RESOLUTION = 32  # texels across the disk; 48 lower the error of exponent 20 from 7.9 to 7.7 %
+TRIAL = 16  # texels across the disk on which the number of lobes is decided
+IN_MEMORY = 2e9  # bytes of a dense tensor; a larger one is decomposed slice by slice
+ENOUGH = 1.05, 1e-3  # the fewest lobes whose error is within a twentieth of the least, or below 0.1 %, are chosen
 
 
 class TensorBRDF(nn.Module):
-    """f(h, wi, wo) ~ sum over h', o, i of core[h', o, i] u_h[h, h'] u_o[o, wo] u_i[i, wi]   (equation 2).
+    """f(h, wi, wo) ~ sum over h', o, i of core[h', o, i] u_h[h, h'] u_o[o, wo] u_i[i, wi]  +  lobes   (equation 2).
 
-    core (h', o, i), u_h (h, h'), u_o (o, n, n), u_i (i, n, n), error (h,)
+    space: the samples h, and what lies between them
+    core (h', o, i), u_h (h, h'), u_o (o, n, n), u_i (i, n, n)
+    peaks (h, k, n, n): amplitudes of the Gaussian lobes (`ops.lobes`) over outgoing directions; k may be 0
+    error (h,): |what the tensor misses| / |f| of every sample, in L2 by projected solid angle
 
-    The fit weighs directions by projected solid angle and every sample of the space alike: each is scaled to norm 1
-    first. `error` is the relative L2 error of every sample under that measure.
+    The fit weighs every sample of the space alike: each is scaled to norm 1 first.
 
     Example:
-        >>> brdf = TensorBRDF.fit(BlinnPhongSpace((5.0, 10.0, 20.0)), ranks=(3, 12, 12), resolution=24)
+        >>> brdf = TensorBRDF.fit(BRDFSpace.blinn_phong((5.0, 10.0, 20.0)), ranks=(3, 12, 12), resolution=24)
         >>> up = torch.tensor([[0.0, 0.0, 1.0]])
         >>> brdf.evaluate(BlinnPhong(10.0), up, up)
     """
@@ -34,44 +41,97 @@ class TensorBRDF(nn.Module):
     u_h: Tensor
     u_o: Tensor
     u_i: Tensor
+    peaks: Tensor
     error: Tensor
 
-    def __init__(
-        self, space: BlinnPhongSpace, core: Tensor, u_h: Tensor, u_o: Tensor, u_i: Tensor, error: Tensor
-    ) -> None:
+    def __init__(self, space: BRDFSpace, **parts: Tensor) -> None:
         super().__init__()
         self.space = space
-        for name, tensor in {"core": core, "u_h": u_h, "u_o": u_o, "u_i": u_i, "error": error}.items():
-            self.register_buffer(name, tensor)
+        for name in ("core", "u_h", "u_o", "u_i", "peaks", "error"):
+            self.register_buffer(name, parts[name])
 
     @classmethod
     def fit(
         cls,
-        space: BlinnPhongSpace,
+        space: BRDFSpace,
         ranks: Sequence[int] | None = None,
         error: float | None = None,
+        separated: int | None = None,
         resolution: int = RESOLUTION,
     ) -> TensorBRDF:
-        """Sample the space and decompose it, by ranks (h, o, i) or by a relative error.
+        """Sample the space, separate its lobes and decompose the remainder.
+
+        ranks (h', o, i), or error: the bound on the root mean square of `error`
+        separated: how many of the lobes of 0, 7, 14 and 21 degrees are taken out, 0..4. None takes the fewest that
+            come near the least error: none for a diffuse space, all for the papers' two
 
         Raises:
             ValueError: not exactly one of ranks and error is given, or one is out of range.
         """
-        directions, weights = _samples_of_disk(resolution)
-        raw = torch.stack([shape.evaluate(directions, directions[:, None]) for shape in space.samples])
-        raw *= weights * weights[:, None]  # shape: (h, o, i)
-        scales = raw.flatten(1).norm(dim=1)
-        raw /= scales[:, None, None]
-        fit = tucker.decompose(raw, ranks=ranks, error=error)
-        missed = torch.stack([(a - b).norm() for a, b in zip(raw, fit.to_dense(), strict=True)])
-        tables = [(u / weights[:, None]).T.reshape(-1, resolution, resolution) for u in fit.factors[1:]]
-        parts = fit.core, fit.factors[0] * scales[:, None], *tables, missed
-        return cls(space, *(part.float().contiguous() for part in parts))
+        if separated is None:
+            separated = _fewest_lobes(space, ranks, error)
+        samples = _Samples(space.samples, lobes.ANGLES[:separated], resolution)
+        slices: tucker.Slices = samples
+        if 4 * len(samples) * resolution**4 <= IN_MEMORY:
+            slices = torch.stack(list(samples))
+            fit = tucker.decompose(slices, ranks=ranks, error=error)
+        else:
+            fit = tucker.decompose_slices(slices, ranks=ranks, error=error)
+        u_h, u_o, u_i = fit.factors
+        order = range(len(samples))
+        fitted = (tucker.multiply(fit.core, (u_h[h : h + 1], *fit.factors[1:]))[0] for h in order)
+        return cls(
+            space,
+            core=fit.core.contiguous(),
+            u_h=u_h * torch.tensor([samples.norms[h] for h in order])[:, None],
+            u_o=samples.table(u_o.T / samples.weights),
+            u_i=samples.table(u_i.T / samples.weights),
+            peaks=torch.stack([samples.peaks[h] for h in order]),
+            error=torch.stack([(slices[h] - values).norm() for h, values in zip(order, fitted, strict=True)]),
+        )
+
+    @property
+    def angles(self) -> tuple[float, ...]:
+        """Of the lobes, in degrees."""
+        return lobes.ANGLES[: self.peaks.shape[1]]
+
+    @property
+    def bytes(self) -> int:
+        """Size of all buffers."""
+        return sum(buffer.numel() * buffer.element_size() for buffer in self.buffers())
+
+    def with_brdf(self, name: str, brdf: BRDF | Material) -> TensorBRDF:
+        """One more sample in the space, a function f(wi, wo) or a material's shape, by name.
+
+        The outgoing and incident factors stay, so transfer that was compressed with them does too; the core gains a
+        slice, the best there is for these factors. Look at `error[-1]`: factors of smooth shapes show no sharp one.
+        """
+        space = self.space.with_brdf(name, brdf)
+        resolution = self.u_i.shape[-1]
+        sampled = _Samples(space.samples[-1:], self.angles, resolution)
+        u_o, u_i = ((table.flatten(1)[:, sampled.inside] * sampled.weights).T for table in (self.u_o, self.u_i))
+        values = sampled[0].to(self.core)
+        matrix = u_o.T @ values @ u_i
+        missed = (values - u_o @ matrix @ u_i.T).norm()
+        parts = {
+            "core": torch.cat((self.core, matrix[None])),
+            "u_h": torch.block_diag(self.u_h, self.u_h.new_tensor([[sampled.norms[0]]])),
+            "u_o": self.u_o,
+            "u_i": self.u_i,
+            "peaks": torch.cat((self.peaks, sampled.peaks[0][None].to(self.peaks))),
+            "error": torch.cat((self.error, missed[None])),
+        }
+        return TensorBRDF(space, **parts)
 
     def matrix(self, shape: Shape) -> Tensor:
-        """The core of one shape (o, i): f(wi, wo) = outgoing(wo) . matrix . incident(wi)."""
+        """The core of one shape (o, i): f(wi, wo) = outgoing(wo) . matrix . incident(wi), without its lobes."""
         coordinates = self.space.coordinates(shape).to(self.core) @ self.u_h
         return torch.einsum("h,hoi->oi", coordinates, self.core)
+
+    def amplitudes(self, shape: Shape, wo: Tensor) -> Tensor:
+        """Amplitudes (k, v) [1/sr] of the lobes of one shape for local directions wo (v, 3)."""
+        peaks = torch.einsum("h,hkyx->kyx", self.space.coordinates(shape).to(self.peaks), self.peaks)
+        return transfer.lookup(peaks, wo.T[None])[0] if len(peaks) else wo.new_zeros(0, len(wo))
 
     def importance(self) -> Tensor:
         """How much each incident factor adds to the picture (1 + i,), the diffuse one first.
@@ -92,19 +152,70 @@ class TensorBRDF(nn.Module):
         return transfer.lookup(self.u_i, wi.T[None])[0]
 
     def evaluate(self, shape: Shape, wi: Tensor, wo: Tensor) -> Tensor:
-        """The approximated BRDF (v,) [1/sr] for local unit directions (v, 3); 0 below the horizon."""
+        """The approximated BRDF (...) [1/sr] for local unit directions (..., 3), which broadcast; 0 below the horizon.
+
+        The lobe of 0 degrees is as wide as `ops.lobes.MIRROR`, whatever the shape's own peak is.
+        """
+        wi, wo = torch.broadcast_tensors(wi, wo)
+        batch, wi, wo = wi.shape[:-1], wi.reshape(-1, 3), wo.reshape(-1, 3)
         value = torch.einsum("ov,oi,iv->v", self.outgoing(wo), self.matrix(shape), self.incident(wi))
-        return value * ((wi[:, 2] > 0) & (wo[:, 2] > 0))
+        value = value + lobes.evaluate(self.amplitudes(shape, wo), wi, wo, self.angles)
+        return (value * ((wi[:, 2] > 0) & (wo[:, 2] > 0))).reshape(batch)
 
 
-def _samples_of_disk(resolution: int) -> tuple[Tensor, Tensor]:
-    """Directions (t, 3) and square roots of fitting weights (t,) of all texels, float64.
+class _Samples(Sequence[Tensor]):
+    """What the tensor is fitted to, one slice (o, i) per shape, made when it is asked for.
 
-    Bilinear lookups near the horizon read texels that the unit circle cuts or excludes, so these take part too, at
-    a direction near the horizon, a quarter of a texel inside, and a small weight.
+    Texels that lie mostly outside of the unit circle take no part: grazing angles weigh as much as they project.
+    The remainder without lobes times the root of the fitting weights, over the norm of the whole. `norms` and `peaks`
+    are of the slices that were made.
     """
-    grid = Disk(resolution)
-    directions = grid.directions().reshape(-1, 3)
-    directions[:, 2].clamp_(min=(0.5 / resolution) ** 0.5)
-    area = grid.projected_solid_angles().reshape(-1)
-    return nn.functional.normalize(directions, dim=1), area.clamp(min=0.05 * float(area.max())).sqrt()
+
+    def __init__(self, shapes: Sequence[Shape], angles: Sequence[float], resolution: int) -> None:
+        self.shapes, self.angles, self.resolution = shapes, angles, resolution
+        grid = Disk(resolution)
+        self.filled = grid.nearest_inside()
+        self.inside = self.filled.unique()
+        self.directions = grid.directions().reshape(-1, 3)[self.inside].float()
+        self.weights = grid.projected_solid_angles().flatten()[self.inside].sqrt().float()
+        self.norms: dict[int, float] = {}
+        self.peaks: dict[int, Tensor] = {}
+
+    def __len__(self) -> int:
+        return len(self.shapes)
+
+    def __getitem__(self, h: Any) -> Any:
+        shape, d = self.shapes[h], self.directions
+        values = shape.evaluate(d, d[:, None])  # shape: (o, i)
+        weights = self.weights[:, None] * self.weights
+        self.norms[h] = float((values * weights).double().norm()) or 1.0
+        separated = self._separate(shape)
+        self.peaks[h] = self.table(separated.amplitudes)
+        if self.angles:
+            columns = lobes.Lobes(separated.amplitudes[..., None], separated.level[..., None])
+            values = lobes.remainder(values, d, d[:, None], columns, self.angles)
+        return values * (weights / self.norms[h])
+
+    def table(self, values: Tensor) -> Tensor:
+        """Values (k, t) of the texels in use as a table (k, n, n); the others have the nearest one's."""
+        among = torch.searchsorted(self.inside, self.filled)
+        return values[:, among].reshape(-1, self.resolution, self.resolution).contiguous()
+
+    def _separate(self, shape: Shape) -> lobes.Lobes:
+        if not shape.isotropic:
+            return lobes.separate(shape.evaluate, self.directions, self.angles)
+        cosines, rows = self.directions[:, 2].mul(1 << 20).round().unique(return_inverse=True)
+        z = (cosines / (1 << 20)).clamp(max=1)
+        wo = torch.stack(((1 - z * z).sqrt(), torch.zeros_like(z), z), -1)
+        few = lobes.separate(shape.evaluate, wo, self.angles)
+        return lobes.Lobes(few.amplitudes[:, rows], few.level[rows])
+
+
+def _fewest_lobes(space: BRDFSpace, ranks: Sequence[int] | None, error: float | None) -> int:
+    """How many lobes come near the least error at these ranks, or need the fewest factors for this error."""
+    counts = range(len(lobes.ANGLES) + 1)
+    fits = [TensorBRDF.fit(space, ranks, error, count, TRIAL) for count in counts]
+    if error is not None:
+        return min(counts, key=lambda k: fits[k].u_i.shape[0])
+    errors = [float(fit.error.square().mean().sqrt()) for fit in fits]
+    return next(k for k in counts if errors[k] <= max(min(errors) * ENOUGH[0], ENOUGH[1]))

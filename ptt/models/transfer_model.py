@@ -15,7 +15,7 @@ from ptt.models.tensor_brdf import TensorBRDF
 from ptt.ops.haar import Truncated
 from ptt.ops.sphere import Cube
 from ptt.receivers import Receivers
-from ptt.spaces import BlinnPhongSpace
+from ptt.spaces import BRDFSpace
 
 KIND = "transfer model"
 
@@ -116,7 +116,8 @@ class TransferModel(nn.Module):
             "truncation_error": self.truncation_error,
             "ranks": list(self.brdf.core.shape),
             "disk": self.brdf.u_i.shape[1],
-            "exponents": list(self.brdf.space.exponents),
+            "lobes": len(self.brdf.angles),
+            "space": self.brdf.space.to_config(),
             **self.receivers.config(),
         }
         saved.save(path, KIND, config, self.state_dict())
@@ -134,7 +135,7 @@ class TransferModel(nn.Module):
             t0 = SparseTransfer(*(tensors[name] for name in SparseTransfer._fields))
             _check_rows(t0, Cube(config["resolution"]).cells)
             parts = {name.removeprefix("brdf."): t for name, t in tensors.items() if name.startswith("brdf.")}
-            brdf = TensorBRDF(BlinnPhongSpace(tuple(config["exponents"])), **parts)
+            brdf = TensorBRDF(BRDFSpace.from_config(config["space"]), **parts)
             receivers = Receivers.restore(config, tensors)
             return cls(receivers, brdf, config["resolution"], t0, config["truncation_error"])
 
@@ -151,7 +152,7 @@ def _check_rows(t0: SparseTransfer, length: int) -> None:
 
 def _expected(config: dict[str, Any]) -> saved.Shapes:
     h, o, i = config["ranks"]
-    n, count, samples = config["disk"], config["coefficients"], len(config["exponents"])
+    n, count, samples = config["disk"], config["coefficients"], len(config["space"]["samples"])
     v = sum(region["points"] for region in config["regions"])
     return {
         "kept": (torch.int32, (1 + i, v)),
@@ -161,6 +162,7 @@ def _expected(config: dict[str, Any]) -> saved.Shapes:
         "brdf.u_h": (torch.float32, (samples, h)),
         "brdf.u_o": (torch.float32, (o, n, n)),
         "brdf.u_i": (torch.float32, (i, n, n)),
+        "brdf.peaks": (torch.float32, (samples, config["lobes"], n, n)),
         "brdf.error": (torch.float32, (samples,)),
         **Receivers.expected(config),
     }

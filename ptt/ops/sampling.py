@@ -56,25 +56,53 @@ class PowerLobe:
 
 @dataclass(frozen=True)
 class BeckmannLobe:
-    """Half vectors with density exp(-tan^2 th_h / m^2) / (pi m^2 cos^3 th_h): Beckmann's facets of slope m > 0.
+    """Half vectors with density exp(-(hx^2 / mx^2 + hy^2 / my^2) / hz^2) / (pi mx my hz^3): Beckmann's facets, Ward's.
 
-    Walter, Marschner, Li and Torrance 2007, equations 28, 29.
+    mx, my: slopes along tangent and bitangent, > 0; my defaults to mx (isotropic). hx/hz and hy/hz are normal, of
+    variances mx^2 / 2 and my^2 / 2.
+
+    Ward 1992; Walter, Marschner, Li and Torrance 2007, equations 28, 29.
     """
 
-    m: float | Tensor
+    mx: float | Tensor
+    my: float | Tensor | None = None
 
     def sample(self, u: Tensor) -> Tensor:
         """u (n, 2) uniform in [0, 1) -> unit vectors (n, 3) above the horizon."""
-        tan2 = -torch.log1p(-u[:, 0]) * self.m**2
-        return _around_z(tan2 / (1 + tan2), u[:, 1])
+        return _facets((-torch.log1p(-u[:, 0])).sqrt(), u[:, 1], *self._slopes())
 
     def density(self, h: Tensor) -> Tensor:
         """(n, 3) -> (n,), the same for h and -h."""
+        mx, my = self._slopes()
         cos = h[..., 2].abs().clamp(min=NARROW)
-        return torch.exp(-_sin2(h) / (cos * self.m) ** 2) / (math.pi * self.m**2 * cos**3)
+        slope2 = ((h[..., 0] / mx) ** 2 + (h[..., 1] / my) ** 2) / cos**2
+        return torch.exp(-slope2) / (math.pi * mx * my * cos**3)
+
+    def _slopes(self) -> tuple[float | Tensor, float | Tensor]:
+        return self.mx, self.mx if self.my is None else self.my
 
 
-Lobe = PowerLobe | BeckmannLobe
+@dataclass(frozen=True)
+class GGXLobe:
+    """Half vectors with density D cos(th_h), D = a^2 / (pi (a^2 cos^2 th_h + sin^2 th_h)^2) and a = roughness^2 > 0.
+
+    Trowbridge and Reitz 1975; Walter, Marschner, Li and Torrance 2007, equations 33, 35, 36.
+    """
+
+    roughness: float | Tensor
+
+    def sample(self, u: Tensor) -> Tensor:
+        """u (n, 2) uniform in [0, 1) -> unit vectors (n, 3) above the horizon."""
+        a = self.roughness**2
+        return _facets((u[:, 0] / (1 - u[:, 0])).sqrt(), u[:, 1], a, a)
+
+    def density(self, h: Tensor) -> Tensor:
+        """(n, 3) -> (n,), the same for h and -h."""
+        a, cos = self.roughness**2, h[..., 2].abs()
+        return (a / ((a * cos) ** 2 + _sin2(h))) ** 2 * cos / math.pi
+
+
+Lobe = PowerLobe | BeckmannLobe | GGXLobe
 
 
 @dataclass(frozen=True)
@@ -114,6 +142,13 @@ def _around_z(sin2: Tensor, turn: Tensor) -> Tensor:
     """Unit vectors (n, 3) above the horizon: squared sine of the angle to z, and turns (0..1) around it."""
     sin, angle = sin2.sqrt(), turn * (2 * math.pi)
     return torch.stack([sin * angle.cos(), sin * angle.sin(), (1 - sin2).clamp(min=0).sqrt()], -1)
+
+
+def _facets(slope: Tensor, turn: Tensor, mx: float | Tensor, my: float | Tensor) -> Tensor:
+    """Unit vectors (n, 3) along (mx slope cos, my slope sin, 1), at turns (0..1) around z."""
+    angle = turn * (2 * math.pi)
+    x, y = mx * slope * angle.cos(), my * slope * angle.sin()
+    return torch.nn.functional.normalize(torch.stack([x, y, torch.ones_like(x)], -1), dim=-1)
 
 
 def _sin2(h: Tensor) -> Tensor:

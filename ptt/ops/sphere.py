@@ -224,6 +224,17 @@ class Disk(Grid):
         edges = 2 * _fractions(self.n) - 1
         return _within_circle(_mixed_difference(_disk_area(*_pairs(edges, edges))), edges, edges)
 
+    def nearest_inside(self) -> Tensor:
+        """For every cell, the flat index (n * n,) of the nearest one that lies at least half inside of the circle.
+
+        Those cells give their own index. Tables filled with it read well up to the horizon.
+        """
+        area = self.projected_solid_angles().flatten()
+        inside = torch.nonzero(area >= 0.5 * area.max())[:, 0]
+        centre = _centres(_fractions(self.n))
+        cells = torch.cartesian_prod(centre, centre)
+        return inside[torch.cdist(cells, cells[inside]).argmin(1)]
+
     def _directions(self, rows: Tensor, columns: Tensor) -> Tensor:
         near_y, near_x = _pairs(_nearest_zero(2 * rows - 1), _nearest_zero(2 * columns - 1))
         y, x = _pairs(2 * _centres(rows) - 1, 2 * _centres(columns) - 1)

@@ -1,0 +1,203 @@
+"""Shapes: the monochrome BRDFs that materials put their colours around.
+
+Every shape has `evaluate(wi, wo)`: local unit directions (..., 3), (..., 3) -> (...) [1/sr] without the cosine, zero
+where either is at or below the horizon. `isotropic` says that turning both about the normal changes nothing.
+
+Parameters are numbers, or tensors of one element that may require gradients.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from ptt.ops import brdf
+
+Number = float | Tensor
+
+
+@dataclass(frozen=True)
+class BlinnPhong:
+    """cos(th_h)^exponent, normalised (`ops.brdf.blinn_phong`); exponent 0..1e6, 0 is Lambert."""
+
+    model: ClassVar[str] = "blinn-phong"
+    isotropic: ClassVar[bool] = True
+    exponent: Number
+
+    def __post_init__(self) -> None:
+        check("exponent", self.exponent, 0.0, 1e6)
+
+    def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
+        return brdf.blinn_phong(wi, wo, self.exponent)
+
+
+@dataclass(frozen=True)
+class CookTorrance:
+    """Beckmann facets of slope m (1e-4..1) with Schlick reflectance f0 (0..1) (`ops.brdf.cook_torrance`)."""
+
+    model: ClassVar[str] = "cook-torrance"
+    isotropic: ClassVar[bool] = True
+    f0: Number
+    m: Number
+
+    def __post_init__(self) -> None:
+        check("f0", self.f0, 0.0, 1.0)
+        check("m", self.m, 1e-4, 1.0)
+
+    def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
+        return brdf.cook_torrance(wi, wo, self.f0, self.m)
+
+
+@dataclass(frozen=True)
+class Ward:
+    """Ward's bounded form with slopes ax along the tangent, ay along the bitangent (1e-4..1) (`ops.brdf.ward`).
+
+    Without ay it is isotropic.
+    """
+
+    model: ClassVar[str] = "ward"
+    ax: Number
+    ay: Number | None = None
+
+    def __post_init__(self) -> None:
+        check("ax", self.ax, 1e-4, 1.0)
+        if self.ay is not None:
+            check("ay", self.ay, 1e-4, 1.0)
+
+    @property
+    def isotropic(self) -> bool:
+        return self.ay is None
+
+    def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
+        return brdf.ward(wi, wo, self.ax, self.ay)
+
+
+@dataclass(frozen=True)
+class GGX:
+    """GGX facets with Schlick reflectance f0 (0..1); the slope is roughness (1e-4..1) squared (`ops.brdf.ggx`)."""
+
+    model: ClassVar[str] = "ggx"
+    isotropic: ClassVar[bool] = True
+    f0: Number
+    roughness: Number
+
+    def __post_init__(self) -> None:
+        check("f0", self.f0, 0.0, 1.0)
+        check("roughness", self.roughness, 1e-4, 1.0)
+
+    def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
+        return brdf.ggx(wi, wo, self.f0, self.roughness)
+
+
+@dataclass(frozen=True)
+class Named:
+    """A BRDF of the user's own, known by its name: shapes of one name are the same shape.
+
+    function: f(wi, wo), as `evaluate`. It should be reciprocal, non-negative and isotropic unless `isotropic` is False.
+        None where a saved model was loaded, which holds what it needs of the function in its tensors.
+    """
+
+    model: ClassVar[str] = "named"
+    name: str
+    function: Callable[[Tensor, Tensor], Tensor] | None = None
+    isotropic: bool = True
+
+    def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
+        """As every shape's.
+
+        Raises:
+            ValueError: the function is missing, or returns negative or non-finite values, or another shape.
+        """
+        if self.function is None:
+            raise ValueError(f"the BRDF {self.name!r} came from a saved model, without its function: give it again")
+        value = self.function(wi, wo)
+        expected = torch.broadcast_shapes(wi.shape, wo.shape)[:-1]
+        if value.shape != expected:
+            raise ValueError(f"the BRDF {self.name!r} must return {tuple(expected)}, got {tuple(value.shape)}")
+        above = (wi[..., 2] > 0) & (wo[..., 2] > 0)
+        value = torch.where(above, value, 0.0)
+        if not bool((torch.isfinite(value) & (value >= 0)).all()):
+            raise ValueError(f"the BRDF {self.name!r} must be finite and >= 0 above the horizon")
+        return value
+
+
+@dataclass(frozen=True)
+class Blend:
+    """The sum of shapes times weights >= 0: what lies between the BRDFs of a user's own space."""
+
+    model: ClassVar[str] = "blend"
+    shapes: tuple[Shape, ...]
+    weights: tuple[Number, ...]
+
+    def __post_init__(self) -> None:
+        if not self.shapes or len(self.shapes) != len(self.weights):
+            raise ValueError(f"weights must be one per shape, got {len(self.weights)} for {len(self.shapes)}")
+        for weight in self.weights:
+            check("weights", weight, 0.0, math.inf)
+
+    @property
+    def isotropic(self) -> bool:
+        return all(shape.isotropic for shape in self.shapes)
+
+    def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
+        values = [w * shape.evaluate(wi, wo) for w, shape in zip(self.weights, self.shapes, strict=True)]
+        return torch.stack(values).sum(0)
+
+
+Analytic = BlinnPhong | CookTorrance | Ward | GGX
+Shape = Analytic | Named | Blend
+ANALYTIC: dict[str, type[Analytic]] = {s.model: s for s in (BlinnPhong, CookTorrance, Ward, GGX)}
+
+
+def parameters(shape: Shape) -> dict[str, Number]:
+    """What defines an analytic shape, by name; those that are left out are missing."""
+    if not isinstance(shape, Analytic):
+        return {}
+    return {f.name: value for f in fields(shape) if (value := getattr(shape, f.name)) is not None}
+
+
+def to_config(shape: Shape) -> dict[str, Any]:
+    """A shape as plain values, e.g. {"model": "ggx", "f0": 0.04, "roughness": 0.3}; functions are left out."""
+    match shape:
+        case Named(name):
+            return {"model": shape.model, "name": name, "isotropic": shape.isotropic}
+        case Blend(shapes, weights):
+            return {
+                "model": shape.model,
+                "shapes": [to_config(s) for s in shapes],
+                "weights": [float(w) for w in weights],
+            }
+    return {"model": shape.model, **{name: float(value) for name, value in parameters(shape).items()}}
+
+
+def from_config(config: Mapping[str, Any]) -> Shape:
+    """The inverse of `to_config`.
+
+    Raises:
+        ValueError: an unknown model, or values that it does not take.
+    """
+    values = dict(config)
+    model = values.pop("model", None)
+    if model == Blend.model:
+        return Blend(tuple(from_config(s) for s in values["shapes"]), tuple(values["weights"]))
+    models: dict[str, Callable[..., Shape]] = {**ANALYTIC, Named.model: Named}
+    if model not in models:
+        raise ValueError(f"shape.model must be one of {', '.join(models)}, got {model!r}")
+    try:
+        return models[model](**values)
+    except TypeError as error:
+        raise ValueError(f"shape of model {model}: {error}") from error
+
+
+def check(name: str, value: Number | Sequence[float], low: float, high: float) -> None:
+    """Raises ValueError unless every value is finite and within the bounds."""
+    v = torch.as_tensor(value).detach().double()
+    rounded = 1e-6  # float32 may hold a bound a little beside itself
+    if not bool((torch.isfinite(v) & (v >= low * (1 - rounded)) & (v <= high * (1 + rounded))).all()):
+        bounds = f"at least {low:g}" if high == math.inf else f"in [{low:g}, {high:g}]"
+        raise ValueError(f"{name} must be finite and {bounds}, got {v.tolist()}")
