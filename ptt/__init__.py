@@ -13,6 +13,7 @@ from ptt.environment import Environment
 from ptt.materials import Material, blinn_phong, cook_torrance, ggx, lambert, ward
 from ptt.measured import MERL, NeuralBRDF
 from ptt.metrics import relative_rmse
+from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.models.transfer_model import TransferModel
 from ptt.models.transfer_relighter import TransferRelighter
@@ -26,6 +27,7 @@ from ptt.tabulated import separate, tabulated
 __all__ = [
     "GGX",
     "MERL",
+    "BRDFBasis",
     "BRDFSpace",
     "Blend",
     "BlinnPhong",

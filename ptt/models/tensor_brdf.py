@@ -18,6 +18,7 @@ from ptt.spaces import BRDF, BRDFSpace
 RESOLUTION = 32  # texels across the disk; 48 lower the error of exponent 20 from 7.9 to 7.7 %
 TRIAL = 16  # texels across the disk on which the number of lobes is decided
 IN_MEMORY = 2e9  # bytes of a dense tensor; a larger one is decomposed slice by slice
+TURNS, ANISOTROPIC_TURNS = 32, 96  # of the quadrature of what lobes reflect
 ENOUGH = 1.05, 1e-3  # the fewest lobes whose error is within a twentieth of the least, or below 0.1 %, are chosen
 
 
@@ -26,10 +27,12 @@ class TensorBRDF(nn.Module):
 
     space: the samples h, and what lies between them
     core (h', o, i), u_h (h, h'), u_o (o, n, n), u_i (i, n, n)
-    peaks (h, k, n, n): amplitudes of the Gaussian lobes (`ops.lobes`) over outgoing directions; k may be 0
-    error (h,): |what the tensor misses| / |f| of every sample, in L2 by projected solid angle
+    peaks (h, k, p, t): reflectances of the Gaussian lobes over outgoing directions (`ops.lobes`); k may be 0
+    error (h,): |what the tensor misses| / |f| of every sample, in L2 by cos(th)^1.5 dw of both directions
 
-    The fit weighs every sample of the space alike: each is scaled to norm 1 first.
+    The fit weighs every sample of the space alike: each is scaled to norm 1 first. Directions weigh cos(th)^1.5,
+    between projected solid angle, at which grazing angles took most of the factors of microfacet models, and its
+    square.
 
     Example:
         >>> brdf = TensorBRDF.fit(BRDFSpace.blinn_phong((5.0, 10.0, 20.0)), ranks=(3, 12, 12), resolution=24)
@@ -71,23 +74,16 @@ class TensorBRDF(nn.Module):
         if separated is None:
             separated = _fewest_lobes(space, ranks, error)
         samples = _Samples(space.samples, lobes.ANGLES[:separated], resolution)
-        slices: tucker.Slices = samples
-        if 4 * len(samples) * resolution**4 <= IN_MEMORY:
-            slices = torch.stack(list(samples))
-            fit = tucker.decompose(slices, ranks=ranks, error=error)
-        else:
-            fit = tucker.decompose_slices(slices, ranks=ranks, error=error)
+        fit, missed = samples.decompose(ranks, error)
         u_h, u_o, u_i = fit.factors
-        order = range(len(samples))
-        fitted = (tucker.multiply(fit.core, (u_h[h : h + 1], *fit.factors[1:]))[0] for h in order)
         return cls(
             space,
             core=fit.core.contiguous(),
-            u_h=u_h * torch.tensor([samples.norms[h] for h in order])[:, None],
+            u_h=u_h * torch.tensor([samples.norms[h] for h in range(len(samples))])[:, None],
             u_o=samples.table(u_o.T / samples.weights),
             u_i=samples.table(u_i.T / samples.weights),
-            peaks=torch.stack([samples.peaks[h] for h in order]),
-            error=torch.stack([(slices[h] - values).norm() for h, values in zip(order, fitted, strict=True)]),
+            peaks=torch.stack([samples.peaks(h, space.isotropic) for h in range(len(samples))]),
+            error=missed,
         )
 
     @property
@@ -113,12 +109,13 @@ class TensorBRDF(nn.Module):
         values = sampled[0].to(self.core)
         matrix = u_o.T @ values @ u_i
         missed = (values - u_o @ matrix @ u_i.T).norm()
+        peaks = self.peaks.expand(-1, -1, 1 if space.isotropic else lobes.POLAR[0], -1)
         parts = {
             "core": torch.cat((self.core, matrix[None])),
             "u_h": torch.block_diag(self.u_h, self.u_h.new_tensor([[sampled.norms[0]]])),
             "u_o": self.u_o,
             "u_i": self.u_i,
-            "peaks": torch.cat((self.peaks, sampled.peaks[0][None].to(self.peaks))),
+            "peaks": torch.cat((peaks, sampled.peaks(0, space.isotropic)[None].to(peaks))),
             "error": torch.cat((self.error, missed[None])),
         }
         return TensorBRDF(space, **parts)
@@ -128,10 +125,10 @@ class TensorBRDF(nn.Module):
         coordinates = self.space.coordinates(shape).to(self.core) @ self.u_h
         return torch.einsum("h,hoi->oi", coordinates, self.core)
 
-    def amplitudes(self, shape: Shape, wo: Tensor) -> Tensor:
-        """Amplitudes (k, v) [1/sr] of the lobes of one shape for local directions wo (v, 3)."""
-        peaks = torch.einsum("h,hkyx->kyx", self.space.coordinates(shape).to(self.peaks), self.peaks)
-        return transfer.lookup(peaks, wo.T[None])[0] if len(peaks) else wo.new_zeros(0, len(wo))
+    def reflectances(self, shape: Shape, wo: Tensor) -> Tensor:
+        """The fraction (k, ...) of the light from wo (..., 3), local, that each lobe of one shape reflects."""
+        peaks = torch.einsum("h,hkpt->kpt", self.space.coordinates(shape).to(self.peaks), self.peaks)
+        return lobes.lookup(peaks, wo)
 
     def importance(self) -> Tensor:
         """How much each incident factor adds to the picture (1 + i,), the diffuse one first.
@@ -159,16 +156,15 @@ class TensorBRDF(nn.Module):
         wi, wo = torch.broadcast_tensors(wi, wo)
         batch, wi, wo = wi.shape[:-1], wi.reshape(-1, 3), wo.reshape(-1, 3)
         value = torch.einsum("ov,oi,iv->v", self.outgoing(wo), self.matrix(shape), self.incident(wi))
-        value = value + lobes.evaluate(self.amplitudes(shape, wo), wi, wo, self.angles)
+        value = value + lobes.evaluate(self.reflectances(shape, wo), wi, wo, self.angles)
         return (value * ((wi[:, 2] > 0) & (wo[:, 2] > 0))).reshape(batch)
 
 
 class _Samples(Sequence[Tensor]):
     """What the tensor is fitted to, one slice (o, i) per shape, made when it is asked for.
 
-    Texels that lie mostly outside of the unit circle take no part: grazing angles weigh as much as they project.
-    The remainder without lobes times the root of the fitting weights, over the norm of the whole. `norms` and `peaks`
-    are of the slices that were made.
+    A slice is the remainder without lobes times the root of the fitting weights, over the norm of the whole, which
+    `norms` keeps. Texels that lie mostly outside of the unit circle take no part.
     """
 
     def __init__(self, shapes: Sequence[Shape], angles: Sequence[float], resolution: int) -> None:
@@ -177,9 +173,9 @@ class _Samples(Sequence[Tensor]):
         self.filled = grid.nearest_inside()
         self.inside = self.filled.unique()
         self.directions = grid.directions().reshape(-1, 3)[self.inside].float()
-        self.weights = grid.projected_solid_angles().flatten()[self.inside].sqrt().float()
+        area = grid.projected_solid_angles().flatten()[self.inside].float()
+        self.weights = (area * self.directions[:, 2].sqrt()).sqrt()
         self.norms: dict[int, float] = {}
-        self.peaks: dict[int, Tensor] = {}
 
     def __len__(self) -> int:
         return len(self.shapes)
@@ -189,12 +185,29 @@ class _Samples(Sequence[Tensor]):
         values = shape.evaluate(d, d[:, None])  # shape: (o, i)
         weights = self.weights[:, None] * self.weights
         self.norms[h] = float((values * weights).double().norm()) or 1.0
-        separated = self._separate(shape)
-        self.peaks[h] = self.table(separated.amplitudes)
         if self.angles:
-            columns = lobes.Lobes(separated.amplitudes[..., None], separated.level[..., None])
+            columns = lobes.Lobes(*(part[..., None] for part in self._separate(shape)))
             values = lobes.remainder(values, d, d[:, None], columns, self.angles)
         return values * (weights / self.norms[h])
+
+    def decompose(self, ranks: Sequence[int] | None, error: float | None) -> tuple[tucker.Tucker, Tensor]:
+        """The Tucker decomposition, and the error (h,) of every slice."""
+        slices: tucker.Slices = self
+        if 4 * len(self) * self.resolution**4 <= IN_MEMORY:
+            slices = torch.stack(list(self))
+            fit = tucker.decompose(slices, ranks=ranks, error=error)
+        else:
+            fit = tucker.decompose_slices(slices, ranks=ranks, error=error)
+        u_h, *others = fit.factors
+        fitted = (tucker.multiply(fit.core, (row[None], *others))[0] for row in u_h)
+        missed = [(slices[h] - values).norm() for h, values in enumerate(fitted)]
+        return fit, torch.stack(missed)
+
+    def peaks(self, h: int, isotropic: bool) -> Tensor:
+        """Reflectances (k, p, t) of the lobes of one shape."""
+        polar = lobes.tilts_and_turns(isotropic).float()
+        turns = TURNS if self.shapes[h].isotropic else ANISOTROPIC_TURNS
+        return lobes.reflectances(self.shapes[h].evaluate, polar, self.angles, turns)
 
     def table(self, values: Tensor) -> Tensor:
         """Values (k, t) of the texels in use as a table (k, n, n); the others have the nearest one's."""
@@ -208,14 +221,14 @@ class _Samples(Sequence[Tensor]):
         z = (cosines / (1 << 20)).clamp(max=1)
         wo = torch.stack(((1 - z * z).sqrt(), torch.zeros_like(z), z), -1)
         few = lobes.separate(shape.evaluate, wo, self.angles)
-        return lobes.Lobes(few.amplitudes[:, rows], few.level[rows])
+        return lobes.Lobes(*(part[:, rows] for part in few))
 
 
 def _fewest_lobes(space: BRDFSpace, ranks: Sequence[int] | None, error: float | None) -> int:
     """How many lobes come near the least error at these ranks, or need the fewest factors for this error."""
     counts = range(len(lobes.ANGLES) + 1)
-    fits = [TensorBRDF.fit(space, ranks, error, count, TRIAL) for count in counts]
+    fits = [_Samples(space.samples, lobes.ANGLES[:k], TRIAL).decompose(ranks, error) for k in counts]
     if error is not None:
-        return min(counts, key=lambda k: fits[k].u_i.shape[0])
-    errors = [float(fit.error.square().mean().sqrt()) for fit in fits]
+        return min(counts, key=lambda k: fits[k][0].core.shape[2])
+    errors = [float(missed.square().mean().sqrt()) for _, missed in fits]
     return next(k for k in counts if errors[k] <= max(min(errors) * ENOUGH[0], ENOUGH[1]))

@@ -116,7 +116,7 @@ class TransferModel(nn.Module):
             "truncation_error": self.truncation_error,
             "ranks": list(self.brdf.core.shape),
             "disk": self.brdf.u_i.shape[1],
-            "lobes": len(self.brdf.angles),
+            "lobes": list(self.brdf.peaks.shape[1:]),
             "space": self.brdf.space.to_config(),
             **self.receivers.config(),
         }
@@ -162,7 +162,7 @@ def _expected(config: dict[str, Any]) -> saved.Shapes:
         "brdf.u_h": (torch.float32, (samples, h)),
         "brdf.u_o": (torch.float32, (o, n, n)),
         "brdf.u_i": (torch.float32, (i, n, n)),
-        "brdf.peaks": (torch.float32, (samples, config["lobes"], n, n)),
+        "brdf.peaks": (torch.float32, (samples, *config["lobes"])),
         "brdf.error": (torch.float32, (samples,)),
         **Receivers.expected(config),
     }

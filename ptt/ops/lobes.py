@@ -1,41 +1,56 @@
 """Gaussian specular lobes: the sharp part of a BRDF, around the mirror direction (Sun et al. 2007, section 4.1).
 
-    f(wi, wo) = sum over k of  a_k(wo) G_k(angle between wi and the mirror image of wo)  +  f_r(wi, wo)
+    f(wi, wo) ~ sum over k of  a_k(wo) G_k(angle between wi and the mirror image of wo)  +  f_r(wi, wo)
     G_k(t) = exp(-t^2 / (2 s_k^2)) where t <= 3 s_k, else 0;  3 s_k = 7, 14, 21 degrees, and 3.5 for the lobe of "0"
 
-The 0-degree lobe stands for a perfect mirror: it is narrower than a texel of a 6 x 64 x 64 cube map (1.4 degrees),
-and its amplitude is that of a Gaussian with the same integral. The remainder f_r is never negative.
+The 0-degree lobe stands for a perfect mirror: it is about as wide as a texel of a 6 x 64 x 64 cube map (1.4 degrees).
+Amplitudes are kept as reflectances, a_k times the integral of G_k cos(th_i): between 0 and the albedo of f, they
+interpolate well where the amplitudes themselves grow without bound, towards grazing.
 
-The amplitudes are what expectation-maximisation makes of the part of f that stands out: in rings around the mirror
-direction, the least value of each ring, falling outwards, above the level at the rim of the widest lobe. A last
-update takes the minimum where maximisation takes the mean, so that the sum of lobes stays below f everywhere.
+1. Expectation-maximisation explains by Gaussians what of f stands out from the level outside: in every ring around the
+   mirror direction its least value, so that what is left is nowhere negative. The last updates take the minimum over a
+   Gaussian's support where maximisation takes the mean.
+2. What still stands out inside of a cone of 3.5, 7, 14 or 21 degrees (lobes at grazing angles are longer than wide) is
+   cut off at the level outside, and the lobe of that cone takes over the light that it reflects.
 
-Dempster et al. 1977; Sun et al. 2007, section 4.1 and Figure 4.
+So f_r is smooth and never negative, and lobes and remainder together reflect as much as f: the furnace does not change.
+
+Dempster et al. 1977; Sun et al. 2007, section 4.1 and Figure 4. The paper gives no more than the constraints.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from ptt.ops.albedo import nodes
+
 ANGLES = (0.0, 7.0, 14.0, 21.0)  # degrees that three standard deviations cover
-MIRROR = 3.5  # degrees: the 0-degree lobe takes what stands out inside, and is a Gaussian of that size
+MIRROR = 3.5  # degrees that the 0-degree lobe covers
 RIM = 10 / 7  # of the widest lobe: where the level is taken that lobes stand out from
-RINGS = (24, 40)  # inside of MIRROR, and from there to the rim
-TURNS = 24
+RINGS = (16, 32)  # inside of MIRROR, and from there to the rim
+TURNS = 16
 SWEEPS = 40
+FINEST, NODES = 1e-4, 64  # of the quadrature of the light that a lobe reflects (`albedo.nodes`)
 TINY = 1e-30
+POLAR = (16, 64)  # outgoing directions at which lobes are tabulated: azimuths (one of an isotropic BRDF) and tilts
 
 
 class Lobes(NamedTuple):
-    """amplitudes (k, ...) [1/sr], and the level (...) [1/sr] that the 0-degree lobe leaves inside of `MIRROR`."""
+    """What is taken out of a BRDF for outgoing directions (...); k lobes.
 
-    amplitudes: Tensor
-    level: Tensor
+    below (k, ...) [1/sr]: amplitudes of Gaussians that stay below f together
+    levels (k, ...) [1/sr]: that the rest is cut off at inside of each lobe's cone
+    """
+
+    below: Tensor
+    levels: Tensor
 
 
 def separate(f: Callable[[Tensor, Tensor], Tensor], wo: Tensor, angles: Sequence[float] = ANGLES) -> Lobes:
@@ -43,63 +58,117 @@ def separate(f: Callable[[Tensor, Tensor], Tensor], wo: Tensor, angles: Sequence
 
     angles (k): ascending, in degrees; with none, nothing is separated
     """
-    wide = torch.tensor([a for a in angles if a > 0], dtype=torch.float64)
     if not angles:
-        return Lobes(wo.new_zeros(0, *wo.shape[:-1]), wo.new_full(wo.shape[:-1], math.inf))
+        return Lobes(*(wo.new_zeros(0, *wo.shape[:-1]) for _ in range(2)))
     rings, areas = _rings(RIM * max(*angles, 2 * MIRROR))
-    directions = _around(mirror(wo), rings)
+    directions = _around(mirror(wo), rings)  # shape: (..., t, turns, 3)
     above = directions[..., 2] > 0
-    values = f(directions, wo[..., None, None, :]) * above  # shape: (..., t, turns)
-    envelope = values.masked_fill(~above, math.inf).amin(-1)
-    envelope = torch.where(envelope.isinf(), 0.0, envelope).cummin(-1).values
-    gaussians = gaussian(rings[:, None], wide).to(wo)  # shape: (t, k)
-    amplitudes = _maximise(envelope, gaussians, areas.to(wo))
-    level = values.new_full(wo.shape[:-1], math.inf)
-    if len(wide) < len(angles):
-        inside, smooth = RINGS[0], amplitudes @ gaussians.T
-        level = (envelope - smooth)[..., inside:].amax(-1)
-        over = ((values - smooth[..., None] - level[..., None, None]).clamp(min=0) * above).mean(-1)
-        mass = over[..., :inside] @ areas[:inside].to(wo)
-        amplitudes = torch.cat((mass[..., None] / integral(0.0), amplitudes), -1)
-    return Lobes(amplitudes.movedim(-1, 0), level)
+    values = f(directions, wo[..., None, None, :])
+    gaussians = torch.stack([gaussian(rings, a) for a in angles], 1).to(wo) * torch.tensor(angles).gt(0)
+    below = _maximise(_least(values, above).cummin(-1).values, gaussians, areas.to(wo))
+    rest = _least((values - (below @ gaussians.T)[..., None]).clamp(min=0), above)
+    levels = [rest[..., rings > math.radians(angle or MIRROR)].amax(-1) for angle in angles]
+    return Lobes(below.movedim(-1, 0), torch.stack(levels))
 
 
 def remainder(values: Tensor, wi: Tensor, wo: Tensor, lobes: Lobes, angles: Sequence[float] = ANGLES) -> Tensor:
-    """f_r (...) from f's values (...) at wi and wo (..., 3), with the lobes (k, ...) of wo.
+    """f_r (...) from f's values (...) at wi and wo (..., 3), with the lobes (k, ...) of wo."""
+    return _peel(values, from_mirror(wi, wo), lobes, angles)[-1]
 
-    Between the rings that lobes were fitted on, a lobe may pass f by some 1e-5 of it: f_r is 0 there.
+
+def reflectances(
+    f: Callable[[Tensor, Tensor], Tensor], wo: Tensor, angles: Sequence[float] = ANGLES, turns: int = 32
+) -> Tensor:
+    """The fraction (k, ...) of the light from wo (..., 3) that each lobe of f reflects: what `remainder` lacks.
+
+    turns: of the quadrature; an anisotropic f needs 20 times the ratio of its slopes
     """
+    lobes = separate(f, wo, angles)
+    wi, weights = nodes(wo, FINEST, NODES, turns)
+    out = wo.double()[..., None, :].expand_as(wi)
+    columns = Lobes(*(part.double()[..., None] for part in lobes))
+    layers = _peel(f(wi, out), from_mirror(wi, out), columns, angles)
+    below = [amplitude * response(wo, a) for a, amplitude in zip(angles, lobes.below, strict=True)]
+    cut = [((outer - inner) * weights).sum(-1).to(wo) for outer, inner in pairwise(layers)]
+    return torch.stack([a + b for a, b in zip(below, cut, strict=True)]) if angles else lobes.below
+
+
+def _peel(values: Tensor, angle: Tensor, lobes: Lobes, angles: Sequence[float]) -> list[Tensor]:
+    """f without its Gaussians, and then cut off in one cone after the other; the last is the remainder.
+
+    Between the rings that they were fitted on, the Gaussians may pass f by some 1e-5 of it: 0 is left there.
+    """
+    for a, amplitude in zip(angles, lobes.below, strict=True):
+        values = values - amplitude * gaussian(angle, a)
+    layers = [values.clamp(min=0)]
+    for a, level in zip(angles, lobes.levels, strict=True):
+        cut = torch.minimum(layers[-1], level)
+        layers.append(torch.where(angle < math.radians(a or MIRROR), cut, layers[-1]))
+    return layers
+
+
+def evaluate(reflected: Tensor, wi: Tensor, wo: Tensor, angles: Sequence[float] = ANGLES) -> Tensor:
+    """f_s (...) [1/sr] at wi and wo (..., 3), from the reflected fractions (k, ...) of wo; not cut at the horizon."""
     angle = from_mirror(wi, wo)
-    for a, amplitude in zip(angles, lobes.amplitudes, strict=True):
-        if a > 0:
-            values = values - amplitude * gaussian(angle, a)
-    inside = angle < math.radians(MIRROR)
-    return torch.where(inside, torch.minimum(values, lobes.level), values).clamp(min=0)
+    value = torch.zeros_like(angle)
+    for a, reflectance in zip(angles, reflected, strict=True):
+        value = value + reflectance / response(wo, a) * gaussian(angle, a)
+    return value
 
 
-def evaluate(amplitudes: Tensor, wi: Tensor, wo: Tensor, angles: Sequence[float] = ANGLES) -> Tensor:
-    """f_s (...) [1/sr] at wi and wo (..., 3), from the amplitudes (k, ...) of wo; not cut at the horizon."""
-    angle = from_mirror(wi, wo)
-    parts = [amplitude * gaussian(angle, a) for a, amplitude in zip(angles, amplitudes, strict=True)]
-    return torch.stack(parts).sum(0) if parts else torch.zeros_like(angle)
+def tilts_and_turns(isotropic: bool) -> Tensor:
+    """Outgoing directions (p, t, 3) of a table: azimuths, one of an isotropic BRDF, by angles to the normal."""
+    p, t = (1 if isotropic else POLAR[0]), POLAR[1]
+    phi = torch.arange(p, dtype=torch.float64) * (2 * math.pi / p)
+    theta = (torch.arange(t, dtype=torch.float64) + 0.5) * (math.pi / 2 / t)
+    sin = theta.sin()
+    return torch.stack((phi.cos()[:, None] * sin, phi.sin()[:, None] * sin, theta.cos().expand(p, -1)), -1)
 
 
-def gaussian(angle: Tensor, lobe: float | Tensor) -> Tensor:
-    """G_k at angles [rad] from the mirror direction; lobe: k in degrees."""
+def lookup(table: Tensor, wo: Tensor) -> Tensor:
+    """Bilinear values (k, ...) of a table (k, p, t) over `tilts_and_turns`, at directions wo (..., 3)."""
+    p, t = table.shape[1:]
+    tilt = (torch.atan2(wo[..., :2].norm(dim=-1), wo[..., 2]) * (2 * t / math.pi) - 0.5).clamp(0, t - 1)
+    turn = torch.atan2(wo[..., 1], wo[..., 0]) * (p / (2 * math.pi)) % p
+    i, j = tilt.floor().clamp(max=max(t - 2, 0)).long(), turn.floor().long() % p
+    a, b = tilt - i, turn - turn.floor()
+    rows = [table[:, k % p, i] * (1 - a) + table[:, k % p, (i + 1).clamp(max=t - 1)] * a for k in (j, j + 1)]
+    return rows[0] * (1 - b) + rows[1] * b
+
+
+def gaussian(angle: Tensor, lobe: float) -> Tensor:
+    """G_k at angles (...) [rad] from the mirror direction; lobe: k in degrees."""
     x = angle / sigma(lobe)
     return torch.exp(-x * x / 2) * (x <= 3)
 
 
-def sigma(lobe: float | Tensor) -> float | Tensor:
+def sigma(lobe: float) -> float:
     """Standard deviation [rad] of the lobe that covers so many degrees."""
-    degrees = lobe if isinstance(lobe, Tensor) else (lobe or MIRROR)
-    return degrees * (math.pi / 540)
+    return math.radians(lobe or MIRROR) / 3
 
 
 def integral(lobe: float) -> float:
     """Of G_k over directions [sr]."""
-    t = torch.linspace(0, 3 * float(sigma(lobe)), 1001, dtype=torch.float64)
+    t = torch.linspace(0, 3 * sigma(lobe), 1001, dtype=torch.float64)
     return float(torch.trapezoid(2 * math.pi * t.sin() * gaussian(t, lobe), t))
+
+
+def response(wo: Tensor, lobe: float) -> Tensor:
+    """Integral (...) of G_k cos(th_i) over the hemisphere [sr] for wo (..., 3); of 0 degrees, a perfect mirror's."""
+    if lobe == 0:
+        return integral(0.0) * wo[..., 2].clamp(min=TINY)
+    return lookup(_responses(lobe).to(wo), wo)[0]
+
+
+@cache
+def _responses(lobe: float, tilts: int = 512, rings: int = 128, turns: int = 128) -> Tensor:
+    """Table (1, 1, tilts) of `response`."""
+    theta = (torch.arange(tilts, dtype=torch.float64) + 0.5) * (math.pi / 2 / tilts)
+    t = (torch.arange(rings, dtype=torch.float64) + 0.5) * (3 * sigma(lobe) / rings)
+    phi = (torch.arange(turns, dtype=torch.float64) + 0.5) * (2 * math.pi / turns)
+    cosine = theta.cos()[:, None, None] * t.cos()[:, None] + theta.sin()[:, None, None] * t.sin()[:, None] * phi.cos()
+    weight = gaussian(t, lobe) * t.sin() * (6 * math.pi * sigma(lobe) / rings)
+    return (cosine.clamp(min=0).mean(-1) @ weight)[None, None]
 
 
 def mirror(wo: Tensor) -> Tensor:
@@ -113,34 +182,37 @@ def from_mirror(wi: Tensor, wo: Tensor) -> Tensor:
     return torch.atan2(torch.linalg.cross(*torch.broadcast_tensors(wi, m)).norm(dim=-1), (wi * m).sum(-1))
 
 
+def _least(values: Tensor, above: Tensor) -> Tensor:
+    """Of values (..., t, turns) in each ring, the least above the horizon; 0 where none is."""
+    least = values.masked_fill(~above, math.inf).amin(-1)
+    return torch.where(least.isinf(), 0.0, least)
+
+
 def _maximise(envelope: Tensor, gaussians: Tensor, areas: Tensor) -> Tensor:
     """Amplitudes (..., k) of Gaussians (t, k) that explain what of an envelope (..., t) stands out from its end.
 
-    Rings that no Gaussian reaches take no part. First the mean update of EM, which keeps the integral, then the
-    minimum over each Gaussian's support, which keeps the sum below the envelope.
+    A Gaussian that is 0 everywhere takes no part: its amplitude is 0.
     """
-    excess = envelope - envelope[..., -1:]
-    count = gaussians.shape[1]
-    amplitudes: Tensor = excess[..., :1].expand(*excess.shape[:-1], count) / max(count, 1)
-    reached, share = gaussians > 0, gaussians * areas[:, None]
-    for _ in range(SWEEPS if count else 0):
-        ratio = excess / (amplitudes @ gaussians.T + TINY)
+    scale = envelope[..., :1].clamp(min=torch.finfo(envelope.dtype).tiny)
+    excess = (envelope - envelope[..., -1:]) / scale
+    used = torch.nonzero(gaussians.amax(0))[:, 0]
+    shapes = gaussians[:, used]
+    amplitudes: Tensor = excess[..., :1].expand(*excess.shape[:-1], len(used)) / max(len(used), 1)
+    share = shapes * areas[:, None]
+    for _ in range(SWEEPS if len(used) else 0):
+        ratio = excess / (amplitudes @ shapes.T + TINY)
         amplitudes = amplitudes * (ratio @ share) / share.sum(0)
-    for _ in range(SWEEPS if count else 0):
-        ratio = excess / (amplitudes @ gaussians.T + TINY)
-        least = torch.stack([ratio[..., support].amin(-1) for support in reached.T], -1)
-        amplitudes = amplitudes * least
-    return amplitudes
+    for _ in range(SWEEPS if len(used) else 0):
+        ratio = excess / (amplitudes @ shapes.T + TINY)
+        amplitudes = amplitudes * torch.stack([ratio[..., support].amin(-1) for support in shapes.T > 0], -1)
+    return torch.zeros(*excess.shape[:-1], gaussians.shape[1]).to(excess).index_copy(-1, used, amplitudes * scale)
 
 
 def _rings(rim: float) -> tuple[Tensor, Tensor]:
     """Angles (t,) [rad] of rings around the mirror direction out to a rim in degrees, and their areas (t,) [sr]."""
-    edges = torch.cat(
-        (
-            torch.linspace(0, MIRROR, RINGS[0] + 1, dtype=torch.float64),
-            torch.linspace(MIRROR, rim, RINGS[1] + 1, dtype=torch.float64)[1:],
-        )
-    ).deg2rad()
+    inner = torch.linspace(0, MIRROR, RINGS[0] + 1, dtype=torch.float64)
+    outer = torch.linspace(MIRROR, rim, RINGS[1] + 1, dtype=torch.float64)
+    edges = torch.cat((inner, outer[1:])).deg2rad()
     middle, half = (edges[1:] + edges[:-1]) / 2, edges.diff() / 2
     return middle, 4 * math.pi * middle.sin() * half.sin()
 

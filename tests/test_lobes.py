@@ -1,0 +1,116 @@
+"""Gaussian lobes: what is taken out is what is put back, the remainder is smooth and not negative, nothing is lost."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from ptt.ops import brdf, lobes
+from ptt.ops.albedo import nodes
+from ptt.shapes import GGX, BlinnPhong, CookTorrance, Shape, Ward
+
+SHAPES: list[Shape] = [
+    BlinnPhong(20.0),
+    BlinnPhong(200.0),
+    BlinnPhong(5000.0),
+    CookTorrance(0.05, 0.15),
+    CookTorrance(0.9, 0.3),
+    CookTorrance(0.6, 0.01),
+    GGX(0.04, 0.3),
+    GGX(1.0, 0.1),
+    Ward(0.1),
+    Ward(0.05, 0.3),
+]
+TILTS = (0.0, 30.0, 60.0, 80.0, 88.0)
+
+
+def tilted(degrees: float, turn: float = 0.0) -> Tensor:
+    a, b = math.radians(degrees), math.radians(turn)
+    return torch.tensor([math.sin(a) * math.cos(b), math.sin(a) * math.sin(b), math.cos(a)], dtype=torch.float64)
+
+
+OUT = torch.stack([tilted(t, turn) for t in TILTS for turn in (0.0, 50.0)])
+
+
+def at_wo(found: lobes.Lobes) -> lobes.Lobes:
+    return lobes.Lobes(*(part[..., None] for part in found))
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+@pytest.mark.parametrize("count", [1, 3, 4])
+def test_lobes_and_remainder_reflect_as_much_as_the_brdf(shape: Shape, count: int) -> None:
+    """The white furnace, direction by direction: what the lobes reflect is what the remainder lacks."""
+    angles = lobes.ANGLES[:count]
+    found = lobes.separate(shape.evaluate, OUT, angles)
+    wi, weights = nodes(OUT, finest=1e-5, rings=300, turns=200)
+    wo = OUT[:, None].expand_as(wi)
+    values = shape.evaluate(wi, wo)
+    rest = lobes.remainder(values, wi, wo, at_wo(found), angles)
+    whole, left = (values * weights).sum(-1), (rest * weights).sum(-1)
+    reflected = lobes.reflectances(shape.evaluate, OUT, angles, 32 if shape.isotropic else 160).sum(0)
+    assert torch.allclose(reflected + left, whole, rtol=0.01)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_remainder_is_between_zero_and_the_brdf_and_flat_at_the_mirror_direction(shape: Shape) -> None:
+    found = lobes.separate(shape.evaluate, OUT)
+    wi, _ = nodes(OUT, finest=1e-4, rings=100, turns=50)
+    wo = OUT[:, None].expand_as(wi)
+    values = shape.evaluate(wi, wo)
+    rest = lobes.remainder(values, wi, wo, at_wo(found))
+    assert (rest >= 0).all() and (rest <= values * (1 + 1e-9)).all()
+    assert (rest.masked_fill(lobes.from_mirror(wi, wo) >= math.radians(21), 0) <= found.levels[-1][:, None]).all()
+
+
+def test_diffuse_has_no_lobes() -> None:
+    assert float(lobes.reflectances(brdf.lambert, OUT).abs().max()) < 1e-12
+
+
+def test_one_gaussian_is_found_again() -> None:
+    """A BRDF that is one lobe of 14 degrees on a matt ground is explained by it; at normal incidence, exactly round."""
+    up = tilted(0.0)[None]
+
+    def f(wi: Tensor, wo: Tensor) -> Tensor:
+        return 0.1 + 3.0 * lobes.gaussian(lobes.from_mirror(wi, wo), 14.0)
+
+    found = lobes.reflectances(f, up)[:, 0]
+    assert float(found[2] / lobes.response(up, 14.0)) == pytest.approx(3.0, rel=0.05)
+    assert float(found.sum() - found[2]) < 0.05 * float(found[2])
+
+
+def test_a_mirror_goes_to_the_lobe_of_zero_degrees() -> None:
+    found = lobes.reflectances(CookTorrance(1.0, 0.003).evaluate, tilted(30.0)[None])
+    assert float(found[0] / found.sum()) > 0.99
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e30])
+def test_scale_invariance(scale: float) -> None:
+    shape = CookTorrance(0.5, 0.1)
+    plain = lobes.reflectances(shape.evaluate, OUT)
+    scaled = lobes.reflectances(lambda wi, wo: shape.evaluate(wi, wo) * scale, OUT)
+    assert torch.allclose(scaled / scale, plain, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 40.0, 70.0, 89.0])
+@pytest.mark.parametrize("k", range(4))
+def test_evaluated_lobes_reflect_their_fraction(k: int, degrees: float) -> None:
+    """The integral of f_s cos over the hemisphere; that of 0 degrees is a mirror's, which a wide cone only nears."""
+    if k == 0 and degrees > 80:
+        pytest.skip("a cone of 3.5 degrees is cut by the horizon, a mirror is not")
+    wo = tilted(degrees)
+    wi, weights = nodes(wo, finest=1e-2, rings=400, turns=400)
+    reflected = torch.nn.functional.one_hot(torch.tensor(k), 4).double()
+    value = lobes.evaluate(reflected[:, None].expand(-1, len(wi)), wi, wo.expand_as(wi))
+    assert float((value * weights).sum()) == pytest.approx(1.0, abs=0.01)
+
+
+def test_lookup_reproduces_its_nodes_and_wraps_around() -> None:
+    directions = lobes.tilts_and_turns(isotropic=False)
+    table = torch.rand(2, *directions.shape[:2], generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    assert torch.allclose(lobes.lookup(table, directions), table, atol=1e-9)
+    nearly = torch.tensor([[0.6, -1e-9, 0.8]], dtype=torch.float64)
+    exactly = torch.tensor([[0.6, 0.0, 0.8]], dtype=torch.float64)
+    assert torch.allclose(lobes.lookup(table, nearly), lobes.lookup(table, exactly), atol=1e-6)
