@@ -1,6 +1,8 @@
 """Results as rows of bench/results/<topic>.csv, and the tables of README and docs that are drawn from them.
 
 python -m bench.table        # redraw every table between `<!-- table: topic prefix -->` and `<!-- end -->`
+
+`<!-- matrix: topic prefix -->` lays out rows named "prefix, row, column" as a table of that shape.
 """
 
 from __future__ import annotations
@@ -68,17 +70,30 @@ def draw(text: str) -> str:
     """Markdown with the tables between its markers drawn anew."""
 
     def table(match: re.Match[str]) -> str:
-        topic, prefix = match[1], match[2] or ""
+        kind, topic, prefix = match[1], match[2], match[3] or ""
         with (ROOT / "bench" / "results" / f"{topic}.csv").open() as file:
             rows = [row for row in csv.DictReader(file) if row["what"].startswith(prefix)]
-        shown = [c for c in COLUMNS if c not in ("how", "unit") and any(row[c] for row in rows)]
-        lines = ["| " + " | ".join(shown) + " |", "|" + "---|" * len(shown)]
-        for row in rows:
-            row["value"] = f"{row['value']} {row['unit']}".strip()
-            lines.append("| " + " | ".join(row[c] for c in shown) + " |")
-        return f"<!-- table: {topic}{' ' + prefix if prefix else ''} -->\n" + "\n".join(lines) + "\n<!-- end -->"
+        lines = _listed(rows) if kind == "table" else _laid_out(rows, prefix)
+        return f"<!-- {kind}: {topic}{' ' + prefix if prefix else ''} -->\n" + "\n".join(lines) + "\n<!-- end -->"
 
-    return re.sub(r"<!-- table: (\w+)(?: ([^>]+?))? -->\n.*?<!-- end -->", table, text, flags=re.DOTALL)
+    return re.sub(r"<!-- (table|matrix): (\w+)(?: ([^>]+?))? -->\n.*?<!-- end -->", table, text, flags=re.DOTALL)
+
+
+def _listed(rows: list[dict[str, str]]) -> list[str]:
+    shown = [c for c in COLUMNS if c not in ("how", "unit") and any(row[c] for row in rows)]
+    cells = [[f"{r['value']} {r['unit']}".strip() if c == "value" else r[c] for c in shown] for r in rows]
+    return _markdown(shown, cells)
+
+
+def _laid_out(rows: list[dict[str, str]], prefix: str) -> list[str]:
+    values = {tuple(row["what"].removeprefix(prefix + ", ").rsplit(", ", 1)): row["value"] for row in rows}
+    down, across = (list(dict.fromkeys(names)) for names in zip(*values, strict=True))
+    return _markdown(["", *across], [[name, *(values.get((name, c), "") for c in across)] for name in down])
+
+
+def _markdown(head: list[str], cells: list[list[str]]) -> list[str]:
+    lines = [f"| {' | '.join(line)} |" for line in (head, *cells)]
+    return [lines[0], "|" + "---|" * len(head), *lines[1:]]
 
 
 def main() -> None:

@@ -37,7 +37,7 @@ def compress(
     fine wavelets. The faces' means come first, so that constant light stays exact.
 
     Raises:
-        ValueError: coefficients out of range.
+        ValueError: coefficients out of range, or a brdf with lobes.
 
     Sun et al. 2007, sections 3.3 and 4.3; Ng et al. 2003 for the weighting by area.
     """
@@ -45,6 +45,8 @@ def compress(
     keep = grid.cells if coefficients is None else coefficients
     if not 6 <= keep <= grid.cells:
         raise ValueError(f"coefficients must be in 6..{grid.cells}, got {keep}")
+    if brdf is not None and brdf.angles:
+        raise ValueError("brdf must be fitted with separated=0: T0 holds the tensor's factors, not its lobes")
     brdf = brdf or TensorBRDF.fit(SPACE, ranks=RANKS, separated=0)
     weights = _weights(brdf, grid)
     kept, whole, left = [], 0.0, 0.0

@@ -18,7 +18,7 @@ from ptt.materials import Material
 from ptt.ops.raycast import Hits
 from ptt.ops.sampling import BeckmannLobe, GGXLobe, Mixture, PowerLobe
 from ptt.scene import Scene
-from ptt.shapes import GGX, BlinnPhong, CookTorrance, Ward
+from ptt.shapes import GGX, BlinnPhong, CookTorrance, Ward, number
 
 BATCHES = 64  # at least so many where there are as many samples: the standard error is then good to 9 %
 LATTICE = 256  # samples a batch, at most
@@ -200,18 +200,18 @@ def _mixture(material: Material) -> Mixture:
     """How to draw directions for a material: the lobe's share is about its part of the reflected light."""
     match material.shape:
         case BlinnPhong(exponent):
-            return Mixture(PowerLobe(float(exponent)), _share(material, 1.0))
+            return Mixture(PowerLobe(number(exponent)), _share(material, 1.0))
         case CookTorrance(f0, m):
-            return Mixture(BeckmannLobe(float(m)), _share(material, 4 / math.pi * max(float(f0), 0.1)))
+            return Mixture(BeckmannLobe(number(m)), _share(material, 4 / math.pi * max(number(f0), 0.1)))
         case Ward(ax, ay):
-            return Mixture(BeckmannLobe(float(ax), float(ax if ay is None else ay)), _share(material, 1.0))
+            return Mixture(BeckmannLobe(number(ax), number(ax if ay is None else ay)), _share(material, 1.0))
         case GGX(f0, roughness):
-            return Mixture(GGXLobe(float(roughness)), _share(material, max(float(f0), 0.1)))
+            return Mixture(GGXLobe(number(roughness)), _share(material, max(number(f0), 0.1)))
     return Mixture()
 
 
 def _share(material: Material, albedo: float) -> float:
-    specular, diffuse = float(material.specular.mean()) * albedo, float(material.diffuse.mean())
+    specular, diffuse = number(material.specular.mean()) * albedo, number(material.diffuse.mean())
     return min(max(specular / max(specular + diffuse, 1e-12), 0.1), 0.9)
 
 

@@ -14,7 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-SCHEMA = 1
+SCHEMA = 2
 Shapes = Mapping[str, tuple[torch.dtype, tuple[int, ...]]]
 
 

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from ptt.ops import brdf
+from ptt.ops.sphere import turn
 
 Number = float | Tensor
 
@@ -104,8 +105,8 @@ class Named:
 
     model: ClassVar[str] = "named"
     name: str
-    function: Callable[[Tensor, Tensor], Tensor] | None = None
-    isotropic: bool = True
+    function: Callable[[Tensor, Tensor], Tensor] | None = field(default=None, compare=False)
+    isotropic: bool = field(default=True, compare=False)
 
     def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
         """As every shape's.
@@ -170,9 +171,9 @@ def to_config(shape: Shape) -> dict[str, Any]:
             return {
                 "model": shape.model,
                 "shapes": [to_config(s) for s in shapes],
-                "weights": [float(w) for w in weights],
+                "weights": [number(w) for w in weights],
             }
-    return {"model": shape.model, **{name: float(value) for name, value in parameters(shape).items()}}
+    return {"model": shape.model, **{name: number(value) for name, value in parameters(shape).items()}}
 
 
 def from_config(config: Mapping[str, Any]) -> Shape:
@@ -183,15 +184,31 @@ def from_config(config: Mapping[str, Any]) -> Shape:
     """
     values = dict(config)
     model = values.pop("model", None)
-    if model == Blend.model:
-        return Blend(tuple(from_config(s) for s in values["shapes"]), tuple(values["weights"]))
-    models: dict[str, Callable[..., Shape]] = {**ANALYTIC, Named.model: Named}
+    models: dict[str, Callable[..., Shape]] = {**ANALYTIC, Named.model: Named, Blend.model: _blend}
     if model not in models:
         raise ValueError(f"shape.model must be one of {', '.join(models)}, got {model!r}")
     try:
         return models[model](**values)
     except TypeError as error:
         raise ValueError(f"shape of model {model}: {error}") from error
+
+
+def number(value: Number) -> float:
+    """A parameter as a plain number, without its gradient."""
+    return float(value.detach()) if isinstance(value, Tensor) else float(value)
+
+
+def turns_alike(shape: Shape) -> bool:
+    """Whether a shape looks isotropic: 4096 pairs, near the mirror direction and far, against their fifth turn."""
+    random = torch.Generator().manual_seed(0)
+    wo, near = torch.randn(2, 4096, 3, generator=random, dtype=torch.float64)
+    wo[:, 2].abs_()
+    wo = torch.nn.functional.normalize(wo, dim=1)
+    spread = torch.logspace(-3, 1, 4096, dtype=torch.float64)[:, None]
+    wi = torch.nn.functional.normalize(wo * wo.new_tensor([-1.0, -1.0, 1.0]) + spread * near, dim=1)
+    fifth = turn(2, 72.0)
+    value, turned = shape.evaluate(wi, wo), shape.evaluate(wi @ fifth.T, wo @ fifth.T)
+    return bool(((turned - value).abs() <= 1e-3 * (value + turned) + 1e-6 * value.max()).all())
 
 
 def check(name: str, value: Number | Sequence[float], low: float, high: float) -> None:
@@ -201,3 +218,7 @@ def check(name: str, value: Number | Sequence[float], low: float, high: float) -
     if not bool((torch.isfinite(v) & (v >= low * (1 - rounded)) & (v <= high * (1 + rounded))).all()):
         bounds = f"at least {low:g}" if high == math.inf else f"in [{low:g}, {high:g}]"
         raise ValueError(f"{name} must be finite and {bounds}, got {v.tolist()}")
+
+
+def _blend(shapes: Sequence[Mapping[str, Any]], weights: Sequence[float]) -> Blend:
+    return Blend(tuple(from_config(s) for s in shapes), tuple(weights))

@@ -36,7 +36,8 @@ class BRDFSpace:
     materials: by name, those that `material` and `path` know
     clamped: an analytic shape outside of the samples is the nearest one inside (True), or refused
 
-    Between analytic samples the space is linear: along exponents, barycentric in a triangulated plane.
+    Between analytic samples the space is linear: along exponents, bilinear on a grid (Ward's slopes, GGX), barycentric
+    in a plane that is triangulated otherwise.
 
         space = BRDFSpace.fitted()
         space.material("gold-metallic-paint")
@@ -58,6 +59,8 @@ class BRDFSpace:
             raise ValueError("samples must hold at least one shape, and no Blend")
         if len(models := {s.model for s in self._analytic}) > 1:
             raise ValueError(f"analytic samples must be of one model, got {', '.join(sorted(models))}")
+        if len(given := {tuple(shapes.parameters(s)) for s in self._analytic}) > 1:
+            raise ValueError(f"analytic samples must have the same parameters, got {' and '.join(map(str, given))}")
         if len({str(shapes.to_config(s)) for s in self.samples}) < len(self.samples):
             raise ValueError("samples must differ, got the same parameters or the same name twice")
         if self._analytic:
@@ -91,11 +94,12 @@ class BRDFSpace:
         return cls(tuple(m.shape for m in named.values() if m.shape), named, clamped=True)
 
     @classmethod
-    def ward(cls, slopes: Sequence[float] = SLOPES, anisotropic: bool = False) -> BRDFSpace:
-        """Ward shapes of the given slopes; anisotropic ones of all pairs of them."""
+    def ward(cls, slopes: Sequence[float] | None = None, anisotropic: bool = False) -> BRDFSpace:
+        """Ward shapes of the given slopes, of 25 in 0.03..0.9; anisotropic ones of all pairs, of 7 in this range."""
         if anisotropic:
+            slopes = slopes or SLOPES[::4]
             return cls(tuple(Ward(x, y) for x in slopes for y in slopes))
-        return cls(tuple(Ward(x) for x in slopes))
+        return cls(tuple(Ward(x) for x in slopes or SLOPES))
 
     @classmethod
     def ggx(cls, roughnesses: Sequence[float] = ROUGHNESSES) -> BRDFSpace:
@@ -117,7 +121,13 @@ class BRDFSpace:
         return all(shape.isotropic for shape in self.samples)
 
     def with_brdf(self, name: str, brdf: BRDF | Material) -> BRDFSpace:
-        """The space with one more sample: a function f(wi, wo), or a material's shape, by name."""
+        """The space with one more sample: a function f(wi, wo), or a material's shape, by name.
+
+        Raises:
+            ValueError: the name is taken, the material has no shape, or the function returns what no BRDF does.
+        """
+        if name in self.materials:
+            raise ValueError(f"name {name!r} is taken: the space has a material of that name")
         material = _named_material(name, brdf)
         assert material.shape is not None
         return replace(self, samples=(*self.samples, material.shape), materials={**self.materials, name: material})
@@ -141,13 +151,19 @@ class BRDFSpace:
         """
         if not self._analytic:
             raise ValueError(f"the space holds BRDFs by name, not by parameters: {', '.join(self.materials)}")
-        try:
-            shape = type(self._analytic[0])(**{name.lower(): value for name, value in parameters.items()})
-        except TypeError as error:
-            valid = ", ".join(shapes.parameters(self._analytic[0]))
-            raise ValueError(f"parameters must be {valid}, got {', '.join(parameters) or 'none'}") from error
-        reached = self.coordinates(shape)[: len(self._analytic)] @ self._simplices.points
-        return replace(shape, **dict(zip(self._axes, reached.tolist(), strict=True))) if self.clamped else shape
+        given = {name.lower(): value for name, value in parameters.items()}
+        valid = shapes.parameters(self._analytic[0])
+        if given.keys() != valid.keys() or len(given) < len(parameters):
+            raise ValueError(f"parameters must be {', '.join(valid)}, got {', '.join(parameters) or 'none'}")
+        shape = type(self._analytic[0])(**given)
+        reached = self._weights(shape) @ self._simplices.points
+        if not self.clamped:
+            return shape
+        inside = {
+            name: value.to(given[name]) if isinstance(given[name], Tensor) else shapes.number(value)
+            for name, value in zip(self._axes, reached, strict=True)
+        }
+        return type(shape)(**(valid | inside))
 
     @overload
     def path(self, start: Shape, end: Shape, steps: int) -> list[Shape]: ...
@@ -174,7 +190,7 @@ class BRDFSpace:
     def coordinates(self, shape: Shape) -> Tensor:
         """Weights (h,) of the samples, float64, that interpolate a shape; differentiable in its parameters.
 
-        They are >= 0, at most three of them are not zero, and they sum to 1 (those of a `Blend`: to its weights' sum).
+        They are >= 0, at most four of them are not zero, and they sum to 1 (those of a `Blend`: to its weights' sum).
 
         Raises:
             ValueError: a shape of another model, an unknown name, or parameters outside of the samples.
@@ -186,8 +202,8 @@ class BRDFSpace:
             return self._by_name(shape.name)
         if not self._analytic or shape.model != self._analytic[0].model:
             raise ValueError(f"the model's space holds {self._models} shapes, got {shape.model}")
-        weights = self._simplices.weights(self._place(shape))
-        return nn.functional.pad(weights, (0, len(self.samples) - len(weights)))
+        rows = torch.tensor([h for h, s in enumerate(self.samples) if isinstance(s, Analytic)])
+        return torch.zeros(len(self.samples), dtype=torch.float64).index_put((rows,), self._weights(shape))
 
     def to_config(self) -> dict[str, Any]:
         """The space as plain values; functions of named BRDFs are left out."""
@@ -208,11 +224,25 @@ class BRDFSpace:
             raise ValueError(f"no BRDF {name!r} in the space, whose named ones are: {known}; see with_brdf")
         return nn.functional.one_hot(torch.tensor(names.index(name)), len(names)).double()
 
-    def _place(self, shape: Shape) -> Tensor:
+    def _weights(self, shape: Analytic) -> Tensor:
+        """Weights of the analytic samples.
+
+        Raises:
+            ValueError: the shape lies outside of a space that does not clamp, or differs in what does not vary.
+        """
+        place, points = self._place(shape), self._simplices.points
+        weights = self._simplices.weights(place)
+        missed = (weights @ points - place).detach().abs() > 2e-6 * points.abs().amax(0)
+        if not self.clamped and bool(missed.any()):
+            axes = ", ".join(self._axes)
+            raise ValueError(f"({axes}) must lie between the samples of the model's space, got {place.tolist()}")
+        return weights
+
+    def _place(self, shape: Analytic) -> Tensor:
         """A shape as a point (d,) on the axes that vary.
 
         Raises:
-            ValueError: it lies outside of a space that does not clamp, or differs in what does not vary.
+            ValueError: it lies outside of the samples' range in a space that does not clamp, or has other parameters.
         """
         given, first = shapes.parameters(shape), shapes.parameters(self._analytic[0])
         if given.keys() != first.keys():
@@ -221,16 +251,18 @@ class BRDFSpace:
         low, high = points.amin(0).tolist(), points.amax(0).tolist()
         bounds = dict(zip(self._axes, zip(low, high, strict=True), strict=True))
         for name, value in given.items():
-            a, b = bounds.get(name, (float(first[name]),) * 2)
-            if not self.clamped and not a * (1 - 1e-6) <= _number(value) <= b * (1 + 1e-6):
-                raise ValueError(f"{name} must be in {a:g}..{b:g}, the model's space, got {_number(value):g}")
+            a, b = bounds.get(name, (shapes.number(first[name]),) * 2)
+            if not self.clamped and not a * (1 - 1e-6) <= shapes.number(value) <= b * (1 + 1e-6):
+                raise ValueError(f"{name} must be in {a:g}..{b:g}, the model's space, got {shapes.number(value):g}")
         return torch.stack([torch.as_tensor(given[name], dtype=torch.float64).cpu() for name in self._axes])
 
     def _between(self, start: Shape, end: Shape, t: float) -> Shape:
+        for shape in (start, end):
+            self.coordinates(shape)  # refuses what is not in the space
         if isinstance(start, Named) or isinstance(end, Named) or isinstance(start, Blend) or isinstance(end, Blend):
             return Blend((start, end), (1 - t, t))
         ends = zip(shapes.parameters(start).items(), shapes.parameters(end).values(), strict=True)
-        return self.at(**{name: float(a) + t * (float(b) - float(a)) for (name, a), b in ends})
+        return self.at(**{name: shapes.number(a) + t * (shapes.number(b) - shapes.number(a)) for (name, a), b in ends})
 
     def _material_between(self, start: Material, end: Material, t: float) -> Material:
         if start.shape is None or end.shape is None:
@@ -250,12 +282,12 @@ class BRDFSpace:
     def _axes(self) -> tuple[str, ...]:
         """Names of the parameters that vary among the analytic samples; of a single sample, its first."""
         table = [shapes.parameters(s) for s in self._analytic]
-        varying = tuple(name for name in table[0] if len({float(row[name]) for row in table}) > 1)
+        varying = tuple(name for name in table[0] if len({shapes.number(row[name]) for row in table}) > 1)
         return varying or tuple(table[0])[:1]
 
     @cached_property
     def _simplices(self) -> Simplices:
-        points = [[float(shapes.parameters(s)[name]) for name in self._axes] for s in self._analytic]
+        points = [[shapes.number(shapes.parameters(s)[name]) for name in self._axes] for s in self._analytic]
         return Simplices(torch.tensor(points, dtype=torch.float64))
 
 
@@ -268,14 +300,10 @@ def fitted(name: str) -> Material:
     return BRDFSpace.fitted().material(name)
 
 
-def _number(value: Number) -> float:
-    return float(value.detach()) if isinstance(value, Tensor) else value
-
-
 def _named_material(name: str, given: BRDF | Material) -> Material:
     """Under its own name, so that edits of its colours keep the shape."""
     if not isinstance(given, Material):
-        return Material(0.0, 1.0, Named(name, given))
+        return Material(0.0, 1.0, Named(name, given, shapes.turns_alike(Named(name, given))))
     if given.shape is None:
         raise ValueError(f"material {name!r} must have a shape")
     return Material(given.diffuse, given.specular, Named(name, given.shape.evaluate, given.shape.isotropic))

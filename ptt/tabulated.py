@@ -14,6 +14,7 @@ from ptt.ops.sphere import Disk
 from ptt.shapes import Named
 
 DIFFUSE = 0.02  # quantile of a measured BRDF that counts as its diffuse part: the least values are noise
+NOISE = 1e-6  # of the diffuse part: a shape of no more albedo is rounding
 TEXELS = 20  # across the disk on which RGB data are separated
 
 
@@ -72,7 +73,7 @@ def separate(name: str, brdf: Callable[[Tensor, Tensor], Tensor], isotropic: boo
     scale = 1.0
     up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
     size = float(albedo(shape, up))
-    if size == 0:
+    if size <= NOISE * math.pi * float(level.max()):
         return Material((level * math.pi).float())
     scale = 1 / size
     return Material((level * math.pi).float(), (colour * size).float(), Named(name, shape, isotropic))

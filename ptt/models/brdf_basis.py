@@ -16,8 +16,8 @@ from ptt.shapes import Shape
 from ptt.spaces import BRDF, BRDFSpace
 
 FUNCTIONS = 4
-TILTS, TURNS = 24, 16  # outgoing directions: by projected solid angle, and around the normal where it matters
-FINEST, RINGS, ARCS = 1e-4, 64, 24  # of the quadrature over incident directions (`ops.albedo.nodes`)
+TILTS, TURNS = 24, 9  # outgoing directions: by projected solid angle, and around the normal where it matters
+FINEST, RINGS, ARCS = 1e-4, 48, 24  # of the quadrature over incident directions (`ops.albedo.nodes`)
 
 
 class BRDFBasis(nn.Module):
@@ -72,8 +72,8 @@ class BRDFBasis(nn.Module):
         space = self.space.with_brdf(name, brdf)
         values, weights = _values(space.samples, space.isotropic)
         mixture = nn.functional.pad(self.mixture.double(), (0, 0, 0, 1))
-        _, table, error = _described(values, weights, mixture, values[-1:])
-        return BRDFBasis(space, mixture.float(), torch.cat((self.table, table)), torch.cat((self.error, error)))
+        mixture, table, error = _described(values, weights, mixture, values[-1:])
+        return BRDFBasis(space, mixture, torch.cat((self.table, table)), torch.cat((self.error, error)))
 
     def coefficients(self, material: Material) -> Tensor:
         """H (1 + p, 3) of a material, also between samples; differentiable in its weights and parameters."""
@@ -101,12 +101,18 @@ def principal(gram: Tensor, count: int) -> tuple[Tensor, Tensor]:
 
 
 def _described(values: Tensor, weights: Tensor, mixture: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Mixture, coefficients and errors, float32, of wanted BRDFs (k, m) in functions mixed of others (h, m)."""
-    functions = mixture.T @ values
-    table = wanted * weights @ functions.T
+    """Mixture, coefficients and errors, float32, of wanted BRDFs (k, m) in functions mixed of others (h, m).
+
+    Functions whose large parts of opposite sign cancel are orthonormal only as far as float32 holds the mixture: the
+    coefficients solve for the functions as they are.
+    """
+    mixture = mixture.float()
+    functions = mixture.double().T @ values
+    overlaps = torch.linalg.pinv(functions * weights @ functions.T, rtol=1e-9, hermitian=True)
+    table = wanted * weights @ functions.T @ overlaps
     missed = ((wanted - table @ functions).square() @ weights).sqrt()
     norms = (wanted.square() @ weights).sqrt().clamp(min=1e-300)
-    return mixture.float(), table.float(), (missed / norms).float()
+    return mixture, table.float(), (missed / norms).float()
 
 
 def _values(samples: Sequence[Shape], isotropic: bool) -> tuple[Tensor, Tensor]:
@@ -119,5 +125,10 @@ def _values(samples: Sequence[Shape], isotropic: bool) -> tuple[Tensor, Tensor]:
     outgoing = (weights * (math.pi / 2 / len(turns))).repeat_interleave(len(turns))
     wi, incident = nodes(wo, FINEST, RINGS, ARCS)
     wo = wo[:, None].expand_as(wi)
-    values = torch.stack([shape.evaluate(wi, wo).flatten() for shape in samples])
+
+    def evaluate(shape: Shape) -> Tensor:
+        step = len(turns) if shape.isotropic else 1  # the nodes turn with wo
+        return shape.evaluate(wi[::step], wo[::step]).repeat_interleave(step, 0).flatten()
+
+    values = torch.stack([evaluate(shape) for shape in samples])
     return values, (outgoing[:, None] * incident).flatten()

@@ -18,7 +18,7 @@ from ptt.spaces import BRDF, BRDFSpace
 RESOLUTION = 32  # texels across the disk; 48 lower the error of exponent 20 from 7.9 to 7.7 %
 TRIAL = 16  # texels across the disk on which the number of lobes is decided
 IN_MEMORY = 2e9  # bytes of a dense tensor; a larger one is decomposed slice by slice
-TURNS, ANISOTROPIC_TURNS = 32, 96  # of the quadrature of what lobes reflect
+TURNS, ANISOTROPIC_TURNS = 32, 40  # of the quadrature of what lobes reflect
 ENOUGH = 1.05, 1e-3  # the fewest lobes whose error is within a twentieth of the least, or below 0.1 %, are chosen
 
 
@@ -28,7 +28,8 @@ class TensorBRDF(nn.Module):
     space: the samples h, and what lies between them
     core (h', o, i), u_h (h, h'), u_o (o, n, n), u_i (i, n, n)
     peaks (h, k, p, t): reflectances of the Gaussian lobes over outgoing directions (`ops.lobes`); k may be 0
-    error (h,): |what the tensor misses| / |f| of every sample, in L2 by cos(th)^1.5 dw of both directions
+    error (h,): |what the tensor misses| / |f| of every sample, in L2 by cos(th)^1.5 dw of both directions. Lobes
+        reflect as much light as the peaks they stand for, from about there; what their round shape misses is not in it
 
     The fit weighs every sample of the space alike: each is scaled to norm 1 first. Directions weigh cos(th)^1.5,
     between projected solid angle, at which grazing angles took most of the factors of microfacet models, and its
@@ -109,13 +110,14 @@ class TensorBRDF(nn.Module):
         values = sampled[0].to(self.core)
         matrix = u_o.T @ values @ u_i
         missed = (values - u_o @ matrix @ u_i.T).norm()
-        peaks = self.peaks.expand(-1, -1, 1 if space.isotropic else lobes.POLAR[0], -1)
+        polar = lobes.tilts_and_turns(space.isotropic).to(self.peaks)
+        peaks = [lobes.lookup(table, polar) for table in self.peaks]
         parts = {
             "core": torch.cat((self.core, matrix[None])),
             "u_h": torch.block_diag(self.u_h, self.u_h.new_tensor([[sampled.norms[0]]])),
             "u_o": self.u_o,
             "u_i": self.u_i,
-            "peaks": torch.cat((peaks, sampled.peaks(0, space.isotropic)[None].to(peaks))),
+            "peaks": torch.stack((*peaks, sampled.peaks(0, space.isotropic).to(self.peaks))),
             "error": torch.cat((self.error, missed[None])),
         }
         return TensorBRDF(space, **parts)
@@ -175,6 +177,7 @@ class _Samples(Sequence[Tensor]):
         self.directions = grid.directions().reshape(-1, 3)[self.inside].float()
         area = grid.projected_solid_angles().flatten()[self.inside].float()
         self.weights = (area * self.directions[:, 2].sqrt()).sqrt()
+        self.from_mirror = lobes.from_mirror(self.directions, self.directions[:, None])  # shape: (o, i)
         self.norms: dict[int, float] = {}
 
     def __len__(self) -> int:
@@ -187,7 +190,7 @@ class _Samples(Sequence[Tensor]):
         self.norms[h] = float((values * weights).double().norm()) or 1.0
         if self.angles:
             columns = lobes.Lobes(*(part[..., None] for part in self._separate(shape)))
-            values = lobes.remainder(values, d, d[:, None], columns, self.angles)
+            values = lobes.remainder(values, self.from_mirror, columns, self.angles)
         return values * (weights / self.norms[h])
 
     def decompose(self, ranks: Sequence[int] | None, error: float | None) -> tuple[tucker.Tucker, Tensor]:
@@ -207,7 +210,8 @@ class _Samples(Sequence[Tensor]):
         """Reflectances (k, p, t) of the lobes of one shape."""
         polar = lobes.tilts_and_turns(isotropic).float()
         turns = TURNS if self.shapes[h].isotropic else ANISOTROPIC_TURNS
-        return lobes.reflectances(self.shapes[h].evaluate, polar, self.angles, turns)
+        f = self.shapes[h].evaluate
+        return torch.cat([lobes.reflectances(f, row, self.angles, turns) for row in polar.split(1)], 1)
 
     def table(self, values: Tensor) -> Tensor:
         """Values (k, t) of the texels in use as a table (k, n, n); the others have the nearest one's."""

@@ -8,6 +8,10 @@ The BRDF as a Tucker tensor (equation 2; `tucker`, on the disk grid of `sphere`,
 
     f(h, wi, wo) ~ sum over h', o, i of  core[h', o, i] u_h[h, h'] u_o[o, wo] u_i[i, wi]
 
+and, apart from it, lobes around the mirror direction (section 4.1; `lobes`), G_k Gaussians of given widths:
+
+    f(h, wi, wo) ~ tensor + sum over k of a_k(h, wo) G_k(angle between wi and the mirror image of wo)
+
 Direct transfer, per texel t of a cube map (`transfer`; rays by `raycast`), and in its Haar basis (`haar`):
 
     T0[v, i, t] = V[v, t] u_i[i, t] max(n . w_t, 0) dw_t           T0[v, i, l] = Haar of T0[v, i, t] over t
@@ -20,7 +24,8 @@ Relighting (equation 3; `relight`), in the order of what changes:
     B[v, c]    = sum over o of V[o, v] Q[c, o, v]           view: V is u_o in the point's view direction
 
 Departures from the paper: the cosine weights of each point are scaled so that its hemisphere sums to pi; coefficients
-of T0 are shared out among the factors of a point by what each adds to the picture (`ptt.compress`).
+of T0 are shared out among the factors of a point by what each adds to the picture (`ptt.compress`); lobes take over all
+light that the smooth remainder lacks (`lobes`); the tensor's fit weighs directions by cos^1.5 (`models.tensor_brdf`).
 
 Example, the integral of a constant over the sphere, in wavelets:
     >>> import torch

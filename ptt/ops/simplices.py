@@ -1,6 +1,8 @@
-"""Piecewise linear interpolation between scattered points of a line or a plane."""
+"""Piecewise linear interpolation between points of a line or a plane."""
 
 from __future__ import annotations
+
+import math
 
 import torch
 from scipy.spatial import Delaunay
@@ -10,22 +12,24 @@ from torch import Tensor
 class Simplices:
     """Points (h, d) float64, d = 1 or 2, triangulated (Delaunay); a single point stands for everything.
 
+    All pairs of some values per axis are a grid, bilinear between: a triangle would take what one axis does from one
+    side of the other, now from this side and now from that.
+
     Raises:
-        ValueError: points of another dimension, not finite, or all of a plane's on one line.
+        ValueError: points of another dimension, none, not finite, one twice, or all of a plane's on one line.
     """
 
     def __init__(self, points: Tensor) -> None:
-        count, dimension = points.shape
-        if dimension not in (1, 2) or not bool(torch.isfinite(points).all()):
+        if points.ndim != 2 or points.shape[1] not in (1, 2) or not len(points) or not bool(points.isfinite().all()):
             raise ValueError(f"points must be finite (h, 1) or (h, 2), got {tuple(points.shape)}")
+        count = len(points)
+        if len(points.unique(dim=0)) < count:
+            raise ValueError("points must differ, got one twice")
         self.points = points.double()
         self._scale = (points.amax(0) - points.amin(0)).double().clamp(min=1e-300)
-        if count == 1:
-            self._cells = self._hull = torch.zeros(0, 2, dtype=torch.int64)
-        elif dimension == 1:
-            order = points[:, 0].argsort()
-            self._cells = self._hull = torch.stack((order[:-1], order[1:]), 1)
-        else:
+        axes = [column.unique() for column in self.points.T.contiguous()]
+        self._axes = axes if math.prod(map(len, axes)) == count and (min(map(len, axes)) > 1 or count == 1) else None
+        if self._axes is None:
             if int(torch.linalg.matrix_rank((self.points - self.points[0]) / self._scale, rtol=1e-9)) < 2:
                 raise ValueError("points of a plane must not lie on one line")
             self._triangles = Delaunay((self.points / self._scale).numpy())
@@ -33,19 +37,22 @@ class Simplices:
             self._hull = torch.from_numpy(self._triangles.convex_hull).long()
 
     def weights(self, point: Tensor) -> Tensor:
-        """Weights (h,) float64, >= 0, sum 1, at most d + 1 of them not zero, that place the points at a point (d,).
+        """Weights (h,) float64, >= 0, sum 1, at most 2^d of them not zero, that place the points at a point (d,).
 
         Outside of the hull, those of its nearest point; along each axis, lengths count in parts of the range.
         Differentiable in the point.
         """
         point = point.double()
-        if len(self.points) == 1:
-            return point.new_ones(1)
-        inside = -1
-        if self.points.shape[1] == 2:
-            scaled = (point / self._scale).detach().numpy()
-            inside = int(self._triangles.find_simplex(scaled, tol=1e-9))
+        if self._axes is not None:
+            return self._on_grid(self._axes, point)
+        inside = int(self._triangles.find_simplex((point / self._scale).detach().numpy(), tol=1e-9))
         return self._on_hull(point) if inside < 0 else self._within(self._cells[inside], point)
+
+    def _on_grid(self, axes: list[Tensor], point: Tensor) -> Tensor:
+        weights = torch.ones(len(self.points), dtype=torch.float64)
+        for axis, column, x in zip(axes, self.points.T.contiguous(), point, strict=True):
+            weights = weights * _along(axis, x)[torch.searchsorted(axis, column)]
+        return weights
 
     def _within(self, corners: Tensor, point: Tensor) -> Tensor:
         a, b, c = self.points[corners]
@@ -54,7 +61,7 @@ class Simplices:
         return self._scatter(corners, weights / weights.sum())
 
     def _on_hull(self, point: Tensor) -> Tensor:
-        """The nearest point on the hull's edges, or on the intervals of a line."""
+        """The nearest point on the hull's edges."""
         a, b = (self.points / self._scale)[self._hull].unbind(1)
         point = point / self._scale
         t = (((point - a) * (b - a)).sum(1) / (b - a).square().sum(1)).clamp(0, 1)
@@ -63,3 +70,12 @@ class Simplices:
 
     def _scatter(self, corners: Tensor, weights: Tensor) -> Tensor:
         return torch.zeros(len(self.points), dtype=torch.float64).index_put((corners,), weights)
+
+
+def _along(axis: Tensor, x: Tensor) -> Tensor:
+    """Weights (n,) of ascending values (n,) at x, that of the end beyond it."""
+    if len(axis) == 1:
+        return torch.ones_like(axis)
+    k = torch.searchsorted(axis, x.detach()).clamp(1, len(axis) - 1)
+    t = ((x - axis[k - 1]) / (axis[k] - axis[k - 1])).clamp(0, 1)
+    return torch.zeros_like(axis).index_put((torch.stack((k - 1, k)),), torch.stack((1 - t, t)))

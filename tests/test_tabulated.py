@@ -1,0 +1,148 @@
+"""Tables as functions, and RGB data as colours around one shape."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+import ptt
+from ptt.ops.albedo import albedo
+from ptt.ops.sphere import Disk
+
+KD, KS = torch.tensor([0.3, 0.1, 0.05]).double(), torch.tensor([0.2, 0.6, 0.4]).double()
+UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+
+
+def cosine_directions(n: int, seed: int, most: float = 1.0) -> Tensor:
+    """Distributed by projected solid angle, up to a sine of `most`."""
+    u = torch.rand(n, 2, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    r, phi = u[:, 0].sqrt() * most, 2 * math.pi * u[:, 1]
+    return torch.stack((r * phi.cos(), r * phi.sin(), (1 - r * r).clamp(min=1e-12).sqrt()), 1)
+
+
+def table_of(f: Callable[[Tensor, Tensor], Tensor], n: int) -> Tensor:
+    d = Disk(n).directions().reshape(-1, 3)
+    d = torch.nn.functional.normalize(d + UP * 1e-9, dim=1)
+    return f(d[None], d[:, None].expand(-1, n * n, -1)).reshape(n, n, n, n)
+
+
+def lopsided(wi: Tensor, wo: Tensor) -> Tensor:
+    """Tells wi from wo, rows from columns, and both signs."""
+    return 2 + wi[..., 0] - 0.5 * wi[..., 1] + 0.25 * wo[..., 0] + 0.1 * wo[..., 1] + 0.2 * wi[..., 0] * wo[..., 1]
+
+
+def test_a_smooth_brdf_is_reproduced() -> None:
+    """In L2 by projected solid angle, 24 cells across, an exponent of 5: 1 % up to 64 degrees, 4 % with the rim, where
+    the cells that the circle cuts hold the value of a point inside."""
+    shape = ptt.BlinnPhong(5.0)
+    f = ptt.tabulated(table_of(shape.evaluate, 24))
+    for most, bound in ((0.9, 0.015), (1.0, 0.06)):
+        wi, wo = cosine_directions(20_000, 0, most), cosine_directions(20_000, 1, most)
+        exact = shape.evaluate(wi, wo)
+        assert 1e-4 < float((f(wi, wo) - exact).norm() / exact.norm()) < bound
+    assert f(wi.float(), wo.float()).dtype == torch.float32
+
+
+def test_bilinear_in_the_disk_is_exact_and_the_axes_are_as_stated() -> None:
+    """Away from the rim, a function that is bilinear in x and y of each direction is its own interpolant."""
+    f = ptt.tabulated(table_of(lopsided, 12))
+    wi, wo = cosine_directions(500, 2, 0.8), cosine_directions(500, 3, 0.8)
+    assert torch.allclose(f(wi, wo), lopsided(wi, wo), atol=1e-12)
+    assert torch.allclose(f(wi[:, None], wo[:40]), lopsided(wi[:, None], wo[:40]), atol=1e-12)
+
+
+def test_cells_outside_are_not_read_and_below_the_horizon_is_zero() -> None:
+    table = torch.ones(9, 9, 9, 9)
+    table[0, 0] = table[:, :, 8, 8] = math.nan
+    f = ptt.tabulated(table)
+    grazing = torch.tensor([[math.sqrt(0.5 - 1e-6)] * 2 + [1e-3], [-math.sqrt(0.5 - 1e-6)] * 2 + [1e-3]])
+    assert f(grazing, grazing.flip(0)).tolist() == pytest.approx([1, 1])
+    up, down = torch.tensor([0.0, 0.6, 0.8]), torch.tensor([0.0, 0.6, -0.8])
+    assert f(up, up) == 1
+    assert [float(f(i, o)) for i, o in ((up, down), (down, up), (down, down))] == [0, 0, 0]
+
+
+@pytest.mark.parametrize(("values", "message"), [
+    (torch.ones(4, 4, 4), r"values must be \(n, n, n, n\), got \(4, 4, 4\)"),
+    (torch.ones(4, 4, 4, 5), r"got \(4, 4, 4, 5\)"),
+    (torch.ones(0, 0, 0, 0), r"got \(0, 0, 0, 0\)"),
+    (-torch.ones(4, 4, 4, 4), "finite and >= 0 inside"),
+    (torch.full((4, 4, 4, 4), math.nan), "finite and >= 0 inside"),
+])  # fmt: skip
+def test_tables_refused(values: Tensor, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ptt.tabulated(values)
+
+
+def test_separate_recovers_colours_and_shape() -> None:
+    """kd / pi + ks s with s almost zero at most pairs, so that the 2 % quantile is kd / pi. The shape that comes back
+    has albedo 1 at normal incidence: s over its own, which `specular` takes up."""
+    lobe = ptt.BlinnPhong(200.0)
+    truth = ptt.Material(KD, KS, lobe)
+    got = ptt.separate("mine", truth.evaluate)
+    assert got.shape == ptt.Named("mine", got.shape.function) and got.shape.isotropic
+    size = float(albedo(lobe.evaluate, UP))
+    assert got.diffuse.tolist() == pytest.approx(KD.tolist(), rel=0.03)
+    assert got.specular.tolist() == pytest.approx((KS * size).tolist(), rel=0.03)
+    assert float(albedo(got.shape.evaluate, UP)) == pytest.approx(1, rel=1e-6)
+    wi, wo = cosine_directions(20_000, 4), cosine_directions(20_000, 5)
+    exact = lobe.evaluate(wi, wo) / size
+    assert float((got.shape.evaluate(wi, wo) - exact).norm() / exact.norm()) < 0.03
+    assert torch.allclose(got.evaluate(wi, wo), truth.evaluate(wi, wo), rtol=0.03, atol=1e-3)
+    assert not ptt.separate("mine", truth.evaluate, isotropic=False).shape.isotropic
+
+
+def test_separate_takes_the_colour_of_the_largest_part() -> None:
+    """Two lobes of disjoint colours: the brighter one in L2 decides, the other is lost."""
+    red, blue = torch.tensor([1.0, 0, 0]).double(), torch.tensor([0, 0, 1.0]).double()
+    weak = ptt.BlinnPhong(200.0), ptt.BlinnPhong(400.0)
+    got = ptt.separate("two", lambda i, o: weak[0].evaluate(i, o)[..., None] * red * 0.05
+                       + weak[1].evaluate(i, o)[..., None] * blue)  # fmt: skip
+    assert float(got.specular[2]) > 100 * float(got.specular[1])
+    assert float(got.specular[2]) == pytest.approx(float(albedo(weak[1].evaluate, UP)), rel=0.1)
+
+
+def rough(wi: Tensor, wo: Tensor) -> Tensor:
+    """Lambert, but for rounding that depends on the direction."""
+    return ptt.lambert(KD).evaluate(wi, wo) * (wi.float().norm(dim=-1) * wo.float().norm(dim=-1))[..., None]
+
+
+@pytest.mark.parametrize("f", [ptt.lambert(KD).evaluate, rough, ptt.lambert(0.0).evaluate], ids=["kd", "rounded", "0"])
+def test_a_diffuse_one_has_no_shape(f: Callable[[Tensor, Tensor], Tensor]) -> None:
+    got = ptt.separate("matt", f)
+    assert got.shape is None and float(got.specular.sum()) == 0
+    up = UP.expand(1, 3)
+    assert got.diffuse.tolist() == pytest.approx((f(up, up)[0] * math.pi).tolist(), rel=1e-5)
+
+
+@pytest.mark.parametrize("f", [
+    lambda i, o: (i * o).sum(-1),
+    lambda i, o: torch.full_like(i, math.nan),
+    lambda i, o: torch.ones(*i.shape[:-1], 4),
+], ids=["grey", "nan", "four"])  # fmt: skip
+def test_separate_refuses(f: Callable[[Tensor, Tensor], Tensor]) -> None:
+    with pytest.raises(ValueError, match="the BRDF 'bad' must return finite RGB"):
+        ptt.separate("bad", f)
+
+
+@pytest.mark.parametrize("name", ["gold-metallic-paint", "red-plastic", "chrome"])
+def test_measured_materials(data_dir: Path, name: str) -> None:
+    """Finite and >= 0; away from the highlight (half vectors from 30 degrees) the data's mean, within a fifth."""
+    path = data_dir / "brdf" / "merl_nbrdf.npz"
+    if not path.is_file():
+        pytest.skip(f"needs {path}")
+    data = ptt.NeuralBRDF.load(path, name)
+    got = ptt.separate(name, data.evaluate)
+    wi, wo = cosine_directions(20_000, 6, 0.9), cosine_directions(20_000, 7, 0.9)
+    value = got.evaluate(wi, wo)
+    assert bool(torch.isfinite(value).all()) and bool((value >= 0).all())
+    off = torch.nn.functional.normalize(wi + wo, dim=1)[:, 2] < math.cos(math.radians(30))
+    mean, exact = value[off].mean(0), data.evaluate(wi, wo)[off].double().mean(0)
+    assert bool(((mean - exact).abs() <= 0.2 * exact + 2e-3).all()), (mean, exact)
+    peak = UP.expand(1, 3)
+    assert float(got.evaluate(peak, peak).mean()) == pytest.approx(float(data.evaluate(peak, peak).mean()), rel=0.2)
