@@ -201,8 +201,8 @@ def between_samples(table: Table, spaces: dict[str, ptt.BRDFSpace]) -> None:
 
 def against_tensorly(table: Table, samples: tuple[Shape, ...], quick: bool) -> None:
     """Time, error and memory of Tucker decompositions in fresh processes, medians of three."""
-    tensor = remainders(samples, lobes.ANGLES)[0]
-    tensor /= tensor.flatten(1).norm(dim=1)[:, None, None].clamp(min=1e-30)
+    tensor, norms = remainders(samples, lobes.ANGLES)
+    tensor /= norms.float()[:, None, None]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "tensor.pt"
         torch.save(tensor, path)
@@ -225,11 +225,11 @@ def editing(table: Table) -> None:
     space = ptt.BRDFSpace.fitted()
     tensor, indirect = ptt.TensorBRDF.fit(space, (4, 8, 8), separated=4), ptt.BRDFBasis.fit(space)
     steps = iter(range(10**9))
-    up, how = torch.tensor([[0.0, 0.0, 1.0]]), f"core, lobes and basis; {setting()}"
+    how = f"core, lobe tables and basis; {setting()}"
 
     def parameter() -> object:
         shape = space.at(F0=0.3, m=0.2 + next(steps) * 1e-5)
-        return tensor.matrix(shape), tensor.reflectances(shape, up), indirect.of_shape(shape)
+        return tensor.matrix(shape), tensor.lobe_tables(shape), indirect.of_shape(shape)
 
     table.row("edit, one parameter", 1e3 * median_seconds(parameter, 51), "ms", how, "<= 1")
     path = space.path("gold-metallic-paint", "nickel", 60)
@@ -238,7 +238,7 @@ def editing(table: Table) -> None:
         material = path[next(steps) % len(path)]
         assert material.shape is not None
         shape = material.shape
-        return tensor.matrix(shape), tensor.reflectances(shape, up), indirect.coefficients(material)
+        return tensor.matrix(shape), tensor.lobe_tables(shape), indirect.coefficients(material)
 
     table.row("edit, an animation step", 1e3 * median_seconds(animation, 51), "ms", how, "<= 1")
     for new in (ptt.ggx(f0=0.2, roughness=0.35), ptt.ward(ax=0.1, ay=0.3)):

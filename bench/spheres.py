@@ -73,7 +73,7 @@ class Sphere:
         """Radiance (v, 3) as the relighting equation has it, plus the lobes."""
         assert material.shape is not None
         specular = torch.einsum("ov,oi,ivc->vc", brdf.outgoing(self.wo), brdf.matrix(material.shape), incident[1:])
-        for reflectance, light in zip(brdf.reflectances(material.shape, self.wo), mirrored, strict=False):
+        for reflectance, light in zip(lobes.lookup(brdf.lobe_tables(material.shape), self.wo), mirrored, strict=False):
             specular = specular + reflectance[:, None] * light
         return material.diffuse / math.pi * incident[0] + material.specular * specular
 
@@ -87,7 +87,7 @@ class Sphere:
         return torch.einsum("vij,vki->vkj", self.frames, local)
 
 
-def save_rows(path: Path, rows: list[list[Tensor]], exposures: list[float]) -> None:
-    """Images side by side, a row with its own exposure below the other."""
-    strips = [torch.cat(images, 1) * 2.0**e for images, e in zip(rows, exposures, strict=True)]
+def save_rows(path: Path, rows: list[list[Tensor]], gains: list[float]) -> None:
+    """Images side by side, one row below the other, each times its own gain."""
+    strips = [torch.cat(images, 1) * gain for images, gain in zip(rows, gains, strict=True)]
     ptt.Image(torch.cat(strips)).save(path)

@@ -18,7 +18,7 @@ from ptt.spaces import BRDF, BRDFSpace
 RESOLUTION = 32  # texels across the disk; 48 lower the error of exponent 20 from 7.9 to 7.7 %
 TRIAL = 16  # texels across the disk on which the number of lobes is decided
 IN_MEMORY = 2e9  # bytes of a dense tensor; a larger one is decomposed slice by slice
-TURNS, ANISOTROPIC_TURNS = 32, 40  # of the quadrature of what lobes reflect
+TURNS, ANISOTROPIC_TURNS = 32, 32  # of the quadrature of what lobes reflect
 ENOUGH = 1.05, 1e-3  # the fewest lobes whose error is within a twentieth of the least, or below 0.1 %, are chosen
 
 
@@ -127,10 +127,9 @@ class TensorBRDF(nn.Module):
         coordinates = self.space.coordinates(shape).to(self.core) @ self.u_h
         return torch.einsum("h,hoi->oi", coordinates, self.core)
 
-    def reflectances(self, shape: Shape, wo: Tensor) -> Tensor:
-        """The fraction (k, ...) of the light from wo (..., 3), local, that each lobe of one shape reflects."""
-        peaks = torch.einsum("h,hkpt->kpt", self.space.coordinates(shape).to(self.peaks), self.peaks)
-        return lobes.lookup(peaks, wo)
+    def lobe_tables(self, shape: Shape) -> Tensor:
+        """The fractions (k, p, t) of the light that the lobes of one shape reflect; read them by `lobes.lookup`."""
+        return torch.einsum("h,hkpt->kpt", self.space.coordinates(shape).to(self.peaks), self.peaks)
 
     def importance(self) -> Tensor:
         """How much each incident factor adds to the picture (1 + i,), the diffuse one first.
@@ -158,7 +157,7 @@ class TensorBRDF(nn.Module):
         wi, wo = torch.broadcast_tensors(wi, wo)
         batch, wi, wo = wi.shape[:-1], wi.reshape(-1, 3), wo.reshape(-1, 3)
         value = torch.einsum("ov,oi,iv->v", self.outgoing(wo), self.matrix(shape), self.incident(wi))
-        value = value + lobes.evaluate(self.reflectances(shape, wo), wi, wo, self.angles)
+        value = value + lobes.evaluate(lobes.lookup(self.lobe_tables(shape), wo), wi, wo, self.angles)
         return (value * ((wi[:, 2] > 0) & (wo[:, 2] > 0))).reshape(batch)
 
 
