@@ -110,7 +110,7 @@ class BRDFSpace:
     def user(cls, brdfs: Mapping[str, BRDF | Material]) -> BRDFSpace:
         """BRDFs of one's own by name: functions f(wi, wo) (..., 3), (..., 3) -> (...) [1/sr], or materials.
 
-        `ptt.measured.separate` makes a material of RGB data, `ptt.measured.tabulated` a function of a table.
+        `ptt.separate` makes a material of RGB data, `ptt.tabulated` a function of a table.
         """
         named = {name: _named_material(name, given) for name, given in brdfs.items()}
         return cls(tuple(m.shape for m in named.values() if m.shape), named)
@@ -259,7 +259,7 @@ class BRDFSpace:
     def _between(self, start: Shape, end: Shape, t: float) -> Shape:
         for shape in (start, end):
             self.coordinates(shape)  # refuses what is not in the space
-        if isinstance(start, Named) or isinstance(end, Named) or isinstance(start, Blend) or isinstance(end, Blend):
+        if isinstance(start, Named | Blend) or isinstance(end, Named | Blend):
             return Blend((start, end), (1 - t, t))
         ends = zip(shapes.parameters(start).items(), shapes.parameters(end).values(), strict=True)
         return self.at(**{name: shapes.number(a) + t * (shapes.number(b) - shapes.number(a)) for (name, a), b in ends})

@@ -50,8 +50,9 @@ def separate(name: str, brdf: Callable[[Tensor, Tensor], Tensor], isotropic: boo
         gold = ptt.separate("gold", ptt.MERL.load("gold-metallic-paint.binary").evaluate)
 
     f ~ diffuse / pi + specular * shape: the diffuse part is the 2 % quantile of each colour over directions by
-    projected solid angle, and the shape the best common factor of what is left, in the L2 norm. It has albedo 1 at
-    normal incidence, so that `specular` is an albedo too. What differs in colour between highlight and gloss is lost.
+    projected solid angle, and the shape the best common factor of what is left, in the L2 norm. Its albedo is 1 at its
+    largest among 0, 30 and 60 degrees, so that `specular` is an albedo too. What differs in colour between highlight
+    and gloss is lost.
 
     Raises:
         ValueError: f returns another shape, or values that are not finite.
@@ -71,8 +72,8 @@ def separate(name: str, brdf: Callable[[Tensor, Tensor], Tensor], isotropic: boo
         return value
 
     scale = 1.0
-    up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-    size = float(albedo(shape, up))
+    out = torch.tensor([[0.0, 0.0, 1.0], [0.5, 0.0, 0.75**0.5], [0.75**0.5, 0.0, 0.5]], dtype=torch.float64)
+    size = float(albedo(shape, out).max())
     if size <= NOISE * math.pi * float(level.max()):
         return Material((level * math.pi).float())
     scale = 1 / size

@@ -16,7 +16,7 @@ from ptt.shapes import Shape
 from ptt.spaces import BRDF, BRDFSpace
 
 FUNCTIONS = 4
-TILTS, TURNS = 24, 9  # outgoing directions: by projected solid angle, and around the normal where it matters
+TILTS, TURNS = 24, 7  # outgoing directions: by projected solid angle, and around the normal where it matters
 FINEST, RINGS, ARCS = 1e-4, 48, 24  # of the quadrature over incident directions (`ops.albedo.nodes`)
 
 

@@ -18,7 +18,6 @@ from ptt.spaces import BRDF, BRDFSpace
 RESOLUTION = 32  # texels across the disk; 48 lower the error of exponent 20 from 7.9 to 7.7 %
 TRIAL = 16  # texels across the disk on which the number of lobes is decided
 IN_MEMORY = 2e9  # bytes of a dense tensor; a larger one is decomposed slice by slice
-TURNS, ANISOTROPIC_TURNS = 32, 32  # of the quadrature of what lobes reflect
 ENOUGH = 1.05, 1e-3  # the fewest lobes whose error is within a twentieth of the least, or below 0.1 %, are chosen
 
 
@@ -28,12 +27,10 @@ class TensorBRDF(nn.Module):
     space: the samples h, and what lies between them
     core (h', o, i), u_h (h, h'), u_o (o, n, n), u_i (i, n, n)
     peaks (h, k, p, t): reflectances of the Gaussian lobes over outgoing directions (`ops.lobes`); k may be 0
-    error (h,): |what the tensor misses| / |f| of every sample, in L2 by cos(th)^1.5 dw of both directions. Lobes
+    error (h,): |what the tensor misses| / |f| of every sample, in L2 by projected solid angle. Lobes
         reflect as much light as the peaks they stand for, from about there; what their round shape misses is not in it
 
-    The fit weighs every sample of the space alike: each is scaled to norm 1 first. Directions weigh cos(th)^1.5,
-    between projected solid angle, at which grazing angles took most of the factors of microfacet models, and its
-    square.
+    The fit weighs every sample of the space alike: each is scaled to norm 1 first.
 
     Example:
         >>> brdf = TensorBRDF.fit(BRDFSpace.blinn_phong((5.0, 10.0, 20.0)), ranks=(3, 12, 12), resolution=24)
@@ -134,11 +131,13 @@ class TensorBRDF(nn.Module):
     def importance(self) -> Tensor:
         """How much each incident factor adds to the picture (1 + i,), the diffuse one first.
 
-        Root mean square, over outgoing directions and the samples of the space, of what a unit of it sends out at
-        albedo 1 and specular weight 1. The outgoing factors are orthonormal on the disk, whose area is pi.
+        Root mean square, over outgoing directions by projected solid angle and the samples of the space, of what a unit
+        of it sends out at albedo 1 and specular weight 1.
         """
         matrices = torch.einsum("sh,hoi->soi", self.u_h, self.core)
-        specular = matrices.square().sum(1).mean(0).div(math.pi).sqrt()
+        u_o, areas = self.u_o.flatten(1), Disk(self.u_o.shape[-1]).projected_solid_angles().flatten().to(self.u_o)
+        specular = torch.einsum("soi,op,spi->si", matrices, u_o * areas @ u_o.T, matrices)
+        specular = specular.mean(0).div(math.pi).clamp(min=0).sqrt()
         return torch.cat((specular.new_tensor([1 / math.pi]), specular))
 
     def outgoing(self, wo: Tensor) -> Tensor:
@@ -174,8 +173,7 @@ class _Samples(Sequence[Tensor]):
         self.filled = grid.nearest_inside()
         self.inside = self.filled.unique()
         self.directions = grid.directions().reshape(-1, 3)[self.inside].float()
-        area = grid.projected_solid_angles().flatten()[self.inside].float()
-        self.weights = (area * self.directions[:, 2].sqrt()).sqrt()
+        self.weights = grid.projected_solid_angles().flatten()[self.inside].sqrt().float()
         self.from_mirror = lobes.from_mirror(self.directions, self.directions[:, None])  # shape: (o, i)
         self.norms: dict[int, float] = {}
 
@@ -208,9 +206,8 @@ class _Samples(Sequence[Tensor]):
     def peaks(self, h: int, isotropic: bool) -> Tensor:
         """Reflectances (k, p, t) of the lobes of one shape."""
         polar = lobes.tilts_and_turns(isotropic).float()
-        turns = TURNS if self.shapes[h].isotropic else ANISOTROPIC_TURNS
         f = self.shapes[h].evaluate
-        return torch.cat([lobes.reflectances(f, row, self.angles, turns) for row in polar.split(1)], 1)
+        return torch.cat([lobes.reflectances(f, row, self.angles) for row in polar.split(1)], 1)
 
     def table(self, values: Tensor) -> Tensor:
         """Values (k, t) of the texels in use as a table (k, n, n); the others have the nearest one's."""

@@ -25,7 +25,7 @@ Relighting (equation 3; `relight`), in the order of what changes:
 
 Departures from the paper: the cosine weights of each point are scaled so that its hemisphere sums to pi; coefficients
 of T0 are shared out among the factors of a point by what each adds to the picture (`ptt.compress`); lobes take over all
-light that the smooth remainder lacks (`lobes`); the tensor's fit weighs directions by cos^1.5 (`models.tensor_brdf`).
+light that the smooth remainder lacks (`lobes`).
 
 Example, the integral of a constant over the sphere, in wavelets:
     >>> import torch

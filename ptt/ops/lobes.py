@@ -39,7 +39,7 @@ TURNS = 16
 SWEEPS = 40
 FINEST, NODES = 1e-4, 64  # of the quadrature of the light that a lobe reflects (`albedo.nodes`)
 TINY = 1e-30
-ISOTROPIC, ANISOTROPIC = (1, 64), (32, 32)  # azimuths and tilts at which lobes are tabulated
+ISOTROPIC, ANISOTROPIC = (1, 64), (24, 32)  # azimuths and tilts at which lobes are tabulated
 
 
 class Lobes(NamedTuple):
