@@ -118,7 +118,7 @@ def test_white_furnace_of_tensor_and_lobes() -> None:
             assert float((tensor.evaluate(shape, wi, wo) * weight).sum()) == pytest.approx(whole, rel=0.04)
 
 
-@pytest.mark.parametrize("scale", [1e-15, 1e15])
+@pytest.mark.parametrize("scale", [1e-30, 1e30])
 def test_scale_of_a_user_space_scales_the_values_and_nothing_else(scale: float) -> None:
     def named(factor: float) -> BRDFSpace:
         return BRDFSpace.user({str(n): lambda i, o, n=n: factor * brdf.blinn_phong(i, o, n) for n in (10.0, 60.0)})
@@ -147,9 +147,8 @@ def test_an_anisotropic_brdf_joins_isotropic_ones() -> None:
     new = old.with_brdf("brushed", ptt.ward(ax=0.3, ay=0.9))
     up, along, across = (torch.tensor([v]) for v in ((0.0, 0.0, 1.0), (0.6, 0.0, 0.8), (0.0, 0.6, 0.8)))
     shape = new.space.samples[-1]
-    for wi in (along, across):
-        assert float(new.evaluate(shape, wi, up)) == pytest.approx(float(shape.evaluate(wi, up)), rel=0.2)
-    assert float(shape.evaluate(across, up)) > 2 * float(shape.evaluate(along, up))
+    assert float(shape.evaluate(across, up)) > 2.5 * float(shape.evaluate(along, up))
+    assert float(new.evaluate(shape, across, up)) > 2.5 * float(new.evaluate(shape, along, up))
 
 
 def test_slices_give_what_memory_gives(monkeypatch: pytest.MonkeyPatch) -> None:
