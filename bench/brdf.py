@@ -1,7 +1,7 @@
 """BRDF spaces: every figure of them, as rows of bench/results/brdf.csv.
 
-    PTT_DATA=... python bench/brdf.py             # about 10 minutes on two cores
-    PTT_DATA=... python bench/brdf.py --quick     # under two minutes: fewer samples, ranks and pixels
+    PTT_DATA=... python bench/brdf.py             # 8 minutes on two cores
+    PTT_DATA=... python bench/brdf.py --quick     # three minutes: fewer samples, ranks and pixels
 
 Needs PTT_DATA with hdri/uffizi.hdr. Pictures go to docs/images.
 """
@@ -42,7 +42,7 @@ DISK = "812 texels of a 32 x 32 disk, samples at their centres"
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="under two minutes: fewer samples, ranks and pixels")
+    parser.add_argument("--quick", action="store_true", help="three minutes: fewer samples, ranks and pixels")
     quick = parser.parse_args().quick
     if "PTT_DATA" not in os.environ:
         parser.error("set PTT_DATA to the folder with hdri/uffizi.hdr")
@@ -99,16 +99,13 @@ def remainders(samples: tuple[Shape, ...], angles: tuple[float, ...]) -> tuple[T
     d = grid.directions().reshape(-1, 3)[inside].float()
     weight = grid.projected_solid_angles().flatten()[inside].sqrt().float()
     angle = lobes.from_mirror(d, d[:, None])
-    z, rows = d[:, 2].mul(1 << 20).round().unique(return_inverse=True)
-    z = (z / (1 << 20)).clamp(max=1)
-    wo = torch.stack(((1 - z * z).sqrt(), torch.zeros_like(z), z), -1)
     left, norms = [], []
     for shape in samples:
         values = shape.evaluate(d, d[:, None])
         norms.append((values * weight * weight[:, None]).double().norm())
         if angles:
-            found = lobes.separate(shape.evaluate, wo, angles)
-            values = lobes.remainder(values, angle, lobes.Lobes(*(p[:, rows, None] for p in found)), angles)
+            found = lobes.separate_isotropic(shape.evaluate, d, angles)
+            values = lobes.remainder(values, angle, lobes.Lobes(*(p[..., None] for p in found)), angles)
         left.append(values * weight * weight[:, None])
     return torch.stack(left), torch.stack(norms)
 

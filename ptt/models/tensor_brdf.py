@@ -186,7 +186,9 @@ class _Samples(Sequence[Tensor]):
         weights = self.weights[:, None] * self.weights
         self.norms[h] = float((values * weights).double().norm()) or 1.0
         if self.angles:
-            columns = lobes.Lobes(*(part[..., None] for part in self._separate(shape)))
+            separate = lobes.separate_isotropic if shape.isotropic else lobes.separate
+            found = separate(shape.evaluate, d, self.angles)
+            columns = lobes.Lobes(*(part[..., None] for part in found))
             values = lobes.remainder(values, self.from_mirror, columns, self.angles)
         return values * (weights / self.norms[h])
 
@@ -213,15 +215,6 @@ class _Samples(Sequence[Tensor]):
         """Values (k, t) of the texels in use as a table (k, n, n); the others have the nearest one's."""
         among = torch.searchsorted(self.inside, self.filled)
         return values[:, among].reshape(-1, self.resolution, self.resolution).contiguous()
-
-    def _separate(self, shape: Shape) -> lobes.Lobes:
-        if not shape.isotropic:
-            return lobes.separate(shape.evaluate, self.directions, self.angles)
-        cosines, rows = self.directions[:, 2].mul(1 << 20).round().unique(return_inverse=True)
-        z = (cosines / (1 << 20)).clamp(max=1)
-        wo = torch.stack(((1 - z * z).sqrt(), torch.zeros_like(z), z), -1)
-        few = lobes.separate(shape.evaluate, wo, self.angles)
-        return lobes.Lobes(*(part[:, rows] for part in few))
 
 
 def _fewest_lobes(space: BRDFSpace, ranks: Sequence[int] | None, error: float | None) -> int:

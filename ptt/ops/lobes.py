@@ -71,6 +71,14 @@ def separate(f: Callable[[Tensor, Tensor], Tensor], wo: Tensor, angles: Sequence
     return Lobes(below.movedim(-1, 0), torch.stack(levels))
 
 
+def separate_isotropic(f: Callable[[Tensor, Tensor], Tensor], wo: Tensor, angles: Sequence[float] = ANGLES) -> Lobes:
+    """`separate` for wo (n, 3), once for each of their angles to the normal: what turning about it does not change."""
+    cosines, rows = wo[:, 2].mul(1 << 20).round().unique(return_inverse=True)
+    z = (cosines / (1 << 20)).clamp(max=1)
+    few = separate(f, torch.stack(((1 - z * z).sqrt(), torch.zeros_like(z), z), -1), angles)
+    return Lobes(*(part[:, rows] for part in few))
+
+
 def remainder(values: Tensor, angle: Tensor, lobes: Lobes, angles: Sequence[float] = ANGLES) -> Tensor:
     """f_r (...) from f's values (...) at angles (...) [rad] from the mirror direction; lobes (k, ...) of wo."""
     return _peel(values, angle, lobes, angles)[-1]
