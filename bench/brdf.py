@@ -28,9 +28,9 @@ from bench import tucker_peer
 from bench.spheres import Sphere, save_rows
 from bench.table import ROOT, Table, median_seconds, setting
 from ptt.models.brdf_basis import principal
+from ptt.models.tensor_brdf import Remainders
 from ptt.ops import lobes, tucker
 from ptt.ops.albedo import albedo
-from ptt.ops.sphere import Disk
 from ptt.shapes import Shape
 
 IMAGES = ROOT / "docs" / "images"
@@ -94,20 +94,10 @@ def energy(table: Table, quick: bool) -> None:
 
 def remainders(samples: tuple[Shape, ...], angles: tuple[float, ...]) -> tuple[Tensor, Tensor]:
     """What lobes leave (h, o, i), by projected solid angle, and the norm (h,) of the whole."""
-    grid = Disk(32)
-    inside = grid.nearest_inside().unique()
-    d = grid.directions().reshape(-1, 3)[inside].float()
-    weight = grid.projected_solid_angles().flatten()[inside].sqrt().float()
-    angle = lobes.from_mirror(d, d[:, None])
-    left, norms = [], []
-    for shape in samples:
-        values = shape.evaluate(d, d[:, None])
-        norms.append((values * weight * weight[:, None]).double().norm())
-        if angles:
-            found = lobes.separate_isotropic(shape.evaluate, d, angles)
-            values = lobes.remainder(values, angle, lobes.Lobes(*(p[..., None] for p in found)), angles)
-        left.append(values * weight * weight[:, None])
-    return torch.stack(left), torch.stack(norms)
+    slices = Remainders(samples, angles, 32)
+    left = torch.stack(list(slices))
+    norms = torch.tensor([slices.norms[h] for h in range(len(slices))], dtype=torch.float64)
+    return left * norms.float()[:, None, None], norms
 
 
 def figure_5(table: Table, name: str, samples: tuple[Shape, ...], quick: bool) -> None:

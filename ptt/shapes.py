@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from ptt.ops import brdf
+from ptt.ops import brdf, lobes
 from ptt.ops.sphere import turn
 
 Number = float | Tensor
@@ -205,7 +205,7 @@ def turns_alike(shape: Shape) -> bool:
     wo[:, 2].abs_()
     wo = torch.nn.functional.normalize(wo, dim=1)
     spread = torch.logspace(-3, 1, 4096, dtype=torch.float64)[:, None]
-    wi = torch.nn.functional.normalize(wo * wo.new_tensor([-1.0, -1.0, 1.0]) + spread * near, dim=1)
+    wi = torch.nn.functional.normalize(lobes.mirror(wo) + spread * near, dim=1)
     fifth = turn(2, 72.0)
     value, turned = shape.evaluate(wi, wo), shape.evaluate(wi @ fifth.T, wo @ fifth.T)
     return bool(((turned - value).abs() <= 1e-3 * (value + turned) + 1e-6 * value.max()).all())

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from ptt.materials import Material
 from ptt.ops import brdf
-from ptt.ops.albedo import nodes
+from ptt.ops.albedo import gauss_legendre, nodes
 from ptt.shapes import Shape
 from ptt.spaces import BRDF, BRDFSpace
 
@@ -117,12 +116,11 @@ def _described(values: Tensor, weights: Tensor, mixture: Tensor, wanted: Tensor)
 
 def _values(samples: Sequence[Shape], isotropic: bool) -> tuple[Tensor, Tensor]:
     """f_h (h, m) at pairs of directions, and the weights (m,) of an integral over both projected hemispheres."""
-    x, weights = (torch.from_numpy(a) for a in np.polynomial.legendre.leggauss(TILTS))
-    sin2 = (x + 1) / 2
+    sin2, weights = gauss_legendre(TILTS, torch.zeros(0).double())
     turns = torch.zeros(1).double() if isotropic else torch.arange(TURNS, dtype=torch.float64) * (2 * math.pi / TURNS)
     sin, cos = sin2.sqrt()[:, None], (1 - sin2).sqrt()[:, None]
     wo = torch.stack((sin * turns.cos(), sin * turns.sin(), cos.expand(-1, len(turns))), -1).reshape(-1, 3)
-    outgoing = (weights * (math.pi / 2 / len(turns))).repeat_interleave(len(turns))
+    outgoing = (weights * (math.pi / len(turns))).repeat_interleave(len(turns))
     wi, incident = nodes(wo, FINEST, RINGS, ARCS)
     wo = wo[:, None].expand_as(wi)
 

@@ -71,7 +71,7 @@ class TensorBRDF(nn.Module):
         """
         if separated is None:
             separated = _fewest_lobes(space, ranks, error)
-        samples = _Samples(space.samples, lobes.ANGLES[:separated], resolution)
+        samples = Remainders(space.samples, lobes.ANGLES[:separated], resolution)
         fit, missed = samples.decompose(ranks, error)
         u_h, u_o, u_i = fit.factors
         return cls(
@@ -102,7 +102,7 @@ class TensorBRDF(nn.Module):
         """
         space = self.space.with_brdf(name, brdf)
         resolution = self.u_i.shape[-1]
-        sampled = _Samples(space.samples[-1:], self.angles, resolution)
+        sampled = Remainders(space.samples[-1:], self.angles, resolution)
         u_o, u_i = ((table.flatten(1)[:, sampled.inside] * sampled.weights).T for table in (self.u_o, self.u_i))
         values = sampled[0].to(self.core)
         matrix = u_o.T @ values @ u_i
@@ -160,7 +160,7 @@ class TensorBRDF(nn.Module):
         return (value * ((wi[:, 2] > 0) & (wo[:, 2] > 0))).reshape(batch)
 
 
-class _Samples(Sequence[Tensor]):
+class Remainders(Sequence[Tensor]):
     """What the tensor is fitted to, one slice (o, i) per shape, made when it is asked for.
 
     A slice is the remainder without lobes times the root of the fitting weights, over the norm of the whole, which
@@ -220,7 +220,7 @@ class _Samples(Sequence[Tensor]):
 def _fewest_lobes(space: BRDFSpace, ranks: Sequence[int] | None, error: float | None) -> int:
     """How many lobes come near the least error at these ranks, or need the fewest factors for this error."""
     counts = range(len(lobes.ANGLES) + 1)
-    fits = [_Samples(space.samples, lobes.ANGLES[:k], TRIAL).decompose(ranks, error) for k in counts]
+    fits = [Remainders(space.samples, lobes.ANGLES[:k], TRIAL).decompose(ranks, error) for k in counts]
     if error is not None:
         return min(counts, key=lambda k: fits[k][0].core.shape[2])
     errors = [float(missed.square().mean().sqrt()) for _, missed in fits]

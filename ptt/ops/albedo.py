@@ -51,12 +51,12 @@ def nodes(wo: Tensor, finest: float = 1e-9, rings: int = 160, turns: int = 48) -
     east = torch.where(out > 0, wo[..., :2] / out.clamp(min=1e-300), wo.new_tensor([1.0, 0.0]))
     whole = torch.atan2(up, out).clamp(min=0) / 2  # shape: (..., 1)
     ends = [torch.log1p(t / finest) for t in (torch.zeros_like(whole), whole, math.pi / 2 - whole)]
-    x, wx = _gauss_legendre(rings, wo)
+    x, wx = gauss_legendre(rings, wo)
     s = torch.cat([a + (b - a) * x for a, b in pairwise(ends)], -1)  # shape: (..., 2 rings)
     ds = torch.cat([(b - a) * wx for a, b in pairwise(ends)], -1)
     t, dt = finest * s.expm1(), finest * s.exp() * ds
     arc = torch.acos((-up * (2 * t).cos() / (out * (2 * t).sin()).clamp(min=1e-300)).clamp(-1, 1))
-    y, wy = _gauss_legendre(turns, wo)
+    y, wy = gauss_legendre(turns, wo)
     phi = arc[..., None] * (2 * y - 1)  # shape: (..., 2 rings, turns)
     dh = (dt * t.sin() * 2 * arc)[..., None] * wy
     cx, cy = phi.cos() * t.sin()[..., None], phi.sin() * t.sin()[..., None]
@@ -68,7 +68,7 @@ def nodes(wo: Tensor, finest: float = 1e-9, rings: int = 160, turns: int = 48) -
     return wi, wi[..., 2].clamp(min=0) * 4 * oh.clamp(min=0) * dh.flatten(-2)
 
 
-def _gauss_legendre(n: int, like: Tensor) -> tuple[Tensor, Tensor]:
-    """Nodes and weights (n,) on [0, 1]."""
+def gauss_legendre(n: int, like: Tensor) -> tuple[Tensor, Tensor]:
+    """Nodes and weights (n,) on [0, 1], of the dtype and device of `like`."""
     x, w = np.polynomial.legendre.leggauss(n)
     return like.new_tensor((x + 1) / 2), like.new_tensor(w / 2)

@@ -156,6 +156,7 @@ def sigma(lobe: float) -> float:
     return math.radians(lobe or MIRROR) / 3
 
 
+@cache
 def integral(lobe: float) -> float:
     """Of G_k over directions [sr]."""
     t = torch.linspace(0, 3 * sigma(lobe), 1001, dtype=torch.float64)
