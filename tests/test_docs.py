@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-EXAMPLES = ["ptt.ops", "ptt.ops.haar", "ptt.ops.sphere"]
+EXAMPLES = ["ptt.ops", "ptt.ops.haar", "ptt.ops.octahedral", "ptt.ops.sphere"]
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

@@ -15,7 +15,9 @@ from ptt.shapes import Shape
 from ptt.spaces import BRDF, BRDFSpace
 
 FUNCTIONS = 4
-TILTS, TURNS = 24, 7  # outgoing directions: by projected solid angle, and around the normal where it matters
+ENERGY = 4.0  # how much more than its shape an albedo counts
+BANDS = 8  # of cells from the normal to the horizon: as wide as a texel of a cube map of 8 x 8, 11 degrees
+TILTS, TURNS = 24, 7  # outgoing directions: by projected solid angle, and around the normal
 FINEST, RINGS, ARCS = 1e-4, 48, 24  # of the quadrature over incident directions (`ops.albedo.nodes`)
 
 
@@ -24,10 +26,14 @@ class BRDFBasis(nn.Module):
 
     space: the samples f_h
     mixture (h, p), table (h, p): of the specular functions, p of them, and the coefficients of every sample
-    error (h,): |f_h - its approximation| / |f_h|, in L2 by projected solid angle
+    error (h,): |f_h - its approximation| / |f_h|, in the norm of the fit
 
-    The specular functions are the uncentred principal components of the samples, each scaled to norm 1: orthonormal,
-    linear, and zero is zero. Weights and colours stay outside.
+    The norm has two scales, as indirect light comes as texels, and most receivers see little more than its sum:
+    |f|^2 = integral over wo, by projected solid angle, of sum over C of r(C)^2 / solid angle of C + (ENERGY r)^2 / pi.
+    r(C) = integral over C of f(wi, wo) cos(wi) dwi, C one of 163 cells of incident directions, 11 degrees wide; r, the
+    sum of all, is the albedo. Lambert's 1/pi has norm 4.08. In this norm, the specular functions are the uncentred
+    principal components of the samples, scaled to norm 1: orthonormal, linear, and zero is zero. Weights and colours
+    stay outside.
 
     Example:
         >>> basis = BRDFBasis.fit(BRDFSpace.blinn_phong((2.0, 8.0, 32.0)), functions=3)
@@ -47,7 +53,7 @@ class BRDFBasis(nn.Module):
 
     @classmethod
     def fit(cls, space: BRDFSpace, functions: int = FUNCTIONS) -> BRDFBasis:
-        """The principal components of a space by a quadrature that resolves its lobes.
+        """The principal components of a space in the norm above, by a quadrature that resolves its lobes.
 
         functions: how many specular ones; where the space has fewer independent samples, the rest are zero
 
@@ -56,12 +62,11 @@ class BRDFBasis(nn.Module):
         """
         if not 1 <= functions <= len(space.samples):
             raise ValueError(f"functions must be in 1..{len(space.samples)}, the samples, got {functions}")
-        values, weights = _values(space.samples, space.isotropic)
-        gram = values * weights @ values.T
-        norms = gram.diagonal().sqrt().clamp(min=1e-300)
-        size, vectors = principal(gram / norms / norms[:, None], functions)
-        mixture = vectors / size.clamp(min=1e-300).sqrt() * (size > 1e-13 * size[0]) / norms[:, None]
-        return cls(space, *_described(values, weights, mixture, values))
+        features = _features(space.samples)
+        norms = features.norm(dim=1, keepdim=True).clamp(min=1e-300)
+        size, vectors = principal(features / norms @ (features / norms).T, functions)
+        mixture = vectors / size.clamp(min=1e-300).sqrt() * (size > 1e-13 * size[0]) / norms
+        return cls(space, *_described(features, mixture, features))
 
     def with_brdf(self, name: str, brdf: BRDF | Material) -> BRDFBasis:
         """One more sample, a function f(wi, wo) or a material's shape by name, in the same functions.
@@ -69,9 +74,9 @@ class BRDFBasis(nn.Module):
         The functions stay, so what was precomputed with them does too; look at `error[-1]`.
         """
         space = self.space.with_brdf(name, brdf)
-        values, weights = _values(space.samples, space.isotropic)
+        features = _features(space.samples)
         mixture = nn.functional.pad(self.mixture.double(), (0, 0, 0, 1))
-        mixture, table, error = _described(values, weights, mixture, values[-1:])
+        mixture, table, error = _described(features, mixture, features[-1:])
         return BRDFBasis(space, mixture, torch.cat((self.table, table)), torch.cat((self.error, error)))
 
     def coefficients(self, material: Material) -> Tensor:
@@ -99,34 +104,51 @@ def principal(gram: Tensor, count: int) -> tuple[Tensor, Tensor]:
     return values.flip(0)[:count].clamp(min=0), vectors.flip(1)[:, :count]
 
 
-def _described(values: Tensor, weights: Tensor, mixture: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _described(features: Tensor, mixture: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Mixture, coefficients and errors, float32, of wanted BRDFs (k, m) in functions mixed of others (h, m).
 
     Functions whose large parts of opposite sign cancel are orthonormal only as far as float32 holds the mixture: the
     coefficients solve for the functions as they are.
     """
     mixture = mixture.float()
-    functions = mixture.double().T @ values
-    overlaps = torch.linalg.pinv(functions * weights @ functions.T, rtol=1e-9, hermitian=True)
-    table = wanted * weights @ functions.T @ overlaps
-    missed = ((wanted - table @ functions).square() @ weights).sqrt()
-    norms = (wanted.square() @ weights).sqrt().clamp(min=1e-300)
-    return mixture, table.float(), (missed / norms).float()
+    functions = mixture.double().T @ features
+    overlaps = torch.linalg.pinv(functions @ functions.T, rtol=1e-9, hermitian=True)
+    table = wanted @ functions.T @ overlaps
+    error = (wanted - table @ functions).norm(dim=1) / wanted.norm(dim=1).clamp(min=1e-300)
+    return mixture, table.float(), error.float()
 
 
-def _values(samples: Sequence[Shape], isotropic: bool) -> tuple[Tensor, Tensor]:
-    """f_h (h, m) at pairs of directions, and the weights (m,) of an integral over both projected hemispheres."""
-    sin2, weights = gauss_legendre(TILTS, torch.zeros(0).double())
-    turns = torch.zeros(1).double() if isotropic else torch.arange(TURNS, dtype=torch.float64) * (2 * math.pi / TURNS)
-    sin, cos = sin2.sqrt()[:, None], (1 - sin2).sqrt()[:, None]
-    wo = torch.stack((sin * turns.cos(), sin * turns.sin(), cos.expand(-1, len(turns))), -1).reshape(-1, 3)
-    outgoing = (weights * (math.pi / len(turns))).repeat_interleave(len(turns))
+def _features(samples: Sequence[Shape]) -> Tensor:
+    """Of f_h (h, m), for every wo: what cells, then all of them, reflect, such that dot products are the norm's."""
+    wo, outgoing = _outgoing()
     wi, incident = nodes(wo, FINEST, RINGS, ARCS)
-    wo = wo[:, None].expand_as(wi)
+    weights = outgoing[:, None] * incident
+    cells, count = _cells(wi)
+    cells, count = (cells + count * torch.arange(len(wo))[:, None]).flatten(), count * len(wo)
+    solid = cells.bincount((weights / wi[..., 2].clamp(min=1e-9)).flatten(), count)  # angles, times outgoing
 
-    def evaluate(shape: Shape) -> Tensor:
-        step = len(turns) if shape.isotropic else 1  # the nodes turn with wo
-        return shape.evaluate(wi[::step], wo[::step]).repeat_interleave(step, 0).flatten()
+    def seen(shape: Shape) -> Tensor:
+        step = TURNS if shape.isotropic else 1  # the nodes turn with wo
+        values = shape.evaluate(wi[::step], wo[::step, None].expand_as(wi[::step])).repeat_interleave(step, 0)
+        reflected = cells.bincount((values * weights).flatten(), count)
+        albedo = reflected.view(len(wo), -1).sum(1) / outgoing
+        return torch.cat((reflected / solid.sqrt().clamp(min=1e-300), ENERGY * albedo * (outgoing / math.pi).sqrt()))
 
-    values = torch.stack([evaluate(shape) for shape in samples])
-    return values, (outgoing[:, None] * incident).flatten()
+    return torch.stack([seen(shape) for shape in samples])
+
+
+def _outgoing() -> tuple[Tensor, Tensor]:
+    """Outgoing directions (o, 3), and their projected solid angles (o,)."""
+    sin2, weights = gauss_legendre(TILTS, torch.zeros(0).double())
+    sin, turns = torch.cartesian_prod(sin2.sqrt(), torch.arange(TURNS).double() * (2 * math.pi / TURNS)).T
+    wo = torch.stack((sin * turns.cos(), sin * turns.sin(), (1 - sin * sin).sqrt()), 1)
+    return wo, (weights * (math.pi / TURNS)).repeat_interleave(TURNS)
+
+
+def _cells(wi: Tensor) -> tuple[Tensor, int]:
+    """The cells (...) of directions (..., 3), and how many there are: bands by angle, cut into arcs about as long."""
+    width = math.pi / 2 / BANDS
+    arcs = torch.tensor([round(2 * math.pi * math.sin((k + 0.5) * width) / width) for k in range(BANDS)])
+    band = (torch.acos(wi[..., 2].clamp(-1, 1)) / width).long().clamp(0, BANDS - 1)
+    turned = (torch.atan2(wi[..., 1], wi[..., 0]) / (2 * math.pi) + 0.5).clamp(max=1 - 1e-12)
+    return (arcs.cumsum(0) - arcs)[band] + (turned * arcs[band]).long(), int(arcs.sum())

@@ -29,6 +29,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ptt.ops import harmonics
 from ptt.ops.albedo import nodes
 
 ANGLES = (0.0, 7.0, 14.0, 21.0)  # degrees that three standard deviations cover
@@ -161,6 +162,17 @@ def integral(lobe: float) -> float:
     """Of G_k over directions [sr]."""
     t = torch.linspace(0, 3 * sigma(lobe), 1001, dtype=torch.float64)
     return float(torch.trapezoid(2 * math.pi * t.sin() * gaussian(t, lobe), t))
+
+
+@cache
+def zonal(lobe: float, order: int) -> Tensor:
+    """What G_k leaves of harmonics (order,) of each degree: the mean of P_l(cos t) under G_k; 1 of a perfect mirror."""
+    if lobe == 0:
+        return torch.ones(order, dtype=torch.float64)
+    t = torch.linspace(0, 3 * sigma(lobe), 1001, dtype=torch.float64)
+    weight = t.sin() * gaussian(t, lobe)
+    legendre = harmonics.zonal(t, order)
+    return torch.trapezoid(weight * legendre, t) / torch.trapezoid(weight, t)
 
 
 def response(wo: Tensor, lobe: float) -> Tensor:

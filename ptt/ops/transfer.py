@@ -9,12 +9,19 @@ Factor 0 is the constant 1, for diffuse reflection.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from ptt.ops import lobes
+from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.raycast import Surface
+from ptt.ops.sphere import Cube
+
+GOLDEN = math.pi * (3 - math.sqrt(5))  # turn from one direction of a spiral to the next
 
 
 def visibility(surface: Surface, points: Tensor, normals: Tensor, directions: Tensor) -> Tensor:
@@ -29,9 +36,65 @@ def visibility(surface: Surface, points: Tensor, normals: Tensor, directions: Te
     return torch.from_numpy(np.packbits(above.numpy(), axis=1))
 
 
+def gather_directions(count: int) -> Tensor:
+    """Local directions (n, 3), float64, spread with a density proportional to the cosine: a spiral on the disk."""
+    k = torch.arange(count, dtype=torch.float64)
+    r2 = (k + 0.5) / count
+    return torch.stack((r2.sqrt() * (GOLDEN * k).cos(), r2.sqrt() * (GOLDEN * k).sin(), (1 - r2).sqrt()), -1)
+
+
+def gather(surface: Surface, faces: Tensor, points: Tensor, frames: Tensor, local: Tensor, u: Tensor) -> Tensor:
+    """The vertex (v, n) int32 that each point sees in each local direction (n, 3); -1 for none.
+
+    surface, faces (f, 3): the scene's triangles
+    points (v, 3), frames (v, 3, 3): rows tangent, bitangent, normal
+    u (v, n): uniform numbers; one corner of the triangle that is hit is drawn by its barycentric weight, so that the
+        expectation of what is read there is the interpolated value. Back faces show nothing
+    """
+    directions = (local.to(frames) @ frames).flatten(0, 1)  # shape: (v * n, 3)
+    origins = surface.offset(points, frames[:, 2]).repeat_interleave(len(local), 0)
+    hits = surface.first_hit(origins, directions)
+    corner = (hits.barycentric.cumsum(1)[:, :2] < u.flatten()[:, None]).sum(1)
+    vertex = faces[hits.triangle.clamp(min=0), corner]
+    return torch.where(hits.front, vertex, -1).int().reshape(u.shape)
+
+
 def unpack(bits: Tensor, length: int) -> Tensor:
     """Packed bits (v, ceil(t / 8)) uint8 -> (v, t) bool."""
     return torch.from_numpy(np.unpackbits(bits.numpy(), axis=1, count=length)).bool()
+
+
+def lobe_visibility(
+    bits: Tensor, frames: Tensor, grid: Cube, cells: int, angles: Sequence[float], fine: int = 64
+) -> Tensor:
+    """Fractions (v, cells * cells, k) uint8, of 255: how much of each lobe about a local direction gets through.
+
+    bits (v, bytes): packed visibility of the cells of a cube map (`visibility`)
+    frames (v, 3, 3): rows tangent, bitangent, normal
+    cells: along an edge of the map of mirror directions, a `HemiOctahedral` grid
+    angles (k): of the lobes; weights are Gaussian times cosine, and what lies below the horizon is hidden
+
+    Sun et al. 2007, section 4.1.
+    """
+    filters = _lobe_filters(cells, fine, tuple(angles))  # shape: (fine * fine, cells * cells * k)
+    local = HemiOctahedral(fine).directions().reshape(-1, 3).to(frames)
+    parts = []
+    for some, turned in zip(bits.split(64), frames.split(64), strict=True):
+        at = grid.cell(local @ turned)  # shape: (b, fine * fine)
+        visible = unpack(some, grid.cells).gather(1, at).to(filters)
+        parts.append((visible @ filters).mul_(255).round_().to(torch.uint8))
+    return torch.cat(parts).reshape(len(bits), cells * cells, len(angles))
+
+
+@cache
+def _lobe_filters(cells: int, fine: int, angles: tuple[float, ...]) -> Tensor:
+    """Weights (fine * fine, cells * cells * k) that sum to 1 over the fine cells of the hemisphere."""
+    grid = HemiOctahedral(fine)
+    wi, solid = grid.directions().reshape(-1, 3), grid.solid_angles().flatten()
+    axes = HemiOctahedral(cells).directions().reshape(-1, 3)
+    angle = torch.linalg.cross(axes[:, None], wi[None]).norm(dim=2).atan2(axes @ wi.T)  # shape: (cells^2, fine^2)
+    weight = torch.stack([lobes.gaussian(angle, a) for a in angles], 1) * (solid * wi[:, 2])
+    return (weight / weight.sum(2, keepdim=True)).flatten(0, 1).T.float()
 
 
 def lookup(table: Tensor, local: Tensor) -> Tensor:

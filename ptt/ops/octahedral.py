@@ -1,0 +1,161 @@
+"""Octahedral maps: the sphere, or the hemisphere around +z, unfolded to a square of n x n cells.
+
+A chart projects directions to the octahedron |x| + |y| + |z| = 1, whose faces it lays flat in the square [-1, 1]^2
+with coordinates (a, b), a along columns and b along rows. Straight lines in a face are great circles on the sphere.
+The functions keep the type and device of their arguments, are differentiable, and branch on no value of a tensor.
+Laws, beside those of every `Grid`:
+
+- ``octahedral(grid.directions())`` are the centres of the cells of the square; so for `hemi_octahedral`.
+- The weights of `corners` sum to 1, and at a cell's centre all weight is on that cell.
+- A lookup by `corners` is continuous on the sphere, across the folds and across the edges of the square.
+
+Example:
+    >>> d = torch.tensor([0.3, -0.2, -0.9])
+    >>> index, weights = corners(octahedral(d), 64, wrap=True)
+    >>> height = Octahedral(64).directions()[..., 2].flatten()
+    >>> round(float((height[index] * weights).sum()), 2), round(float(d[2] / d.norm()), 2)
+    (-0.93, -0.93)
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import torch
+from torch import Tensor
+
+from ptt.ops.sphere import Grid, _centres, _checked, _index, _pairs, _positive, _unit
+
+
+def octahedral(d: Tensor) -> Tensor:
+    """Coordinates (a, b) (..., 2) on the map of the sphere of directions d (..., 3), non-zero, not always unit."""
+    x, y, z = _on_octahedron(d)
+    return torch.stack(_folded(x, y, z), dim=-1)
+
+
+def hemi_octahedral(d: Tensor) -> Tensor:
+    """As `octahedral`, on the map of the hemisphere; below the horizon, those of the mirror image above."""
+    x, y, _ = _on_octahedron(d)
+    return torch.stack((x + y, x - y), dim=-1)
+
+
+def corners(ab: Tensor, n: int, wrap: bool) -> tuple[Tensor, Tensor]:
+    """Cells (..., 4) int64 and weights (..., 4) of a bilinear lookup at ab (..., 2) in a flat table (n * n, ...).
+
+    Beyond an edge of the square the table is that of the edge's cells: mirrored about the middle of the edge,
+    as an `Octahedral` map goes on, with `wrap`; repeated, as fits a `HemiOctahedral` map, without.
+    """
+    position = (ab + 1) * (n / 2) - 0.5
+    first = position.floor()
+    a, b = (position - first).unbind(-1)
+    column, row = first.long().unbind(-1)
+    columns = torch.stack((column, column + 1, column, column + 1), dim=-1)
+    rows = torch.stack((row, row, row + 1, row + 1), dim=-1)
+    if wrap:
+        columns = torch.where((rows < 0) | (rows >= n), n - 1 - columns, columns)
+        rows = torch.where((columns < 0) | (columns >= n), n - 1 - rows, rows)
+    index = rows.clamp(0, n - 1) * n + columns.clamp(0, n - 1)
+    return index, torch.stack(((1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b), dim=-1)
+
+
+@dataclass(frozen=True)
+class _Unfolded(Grid):
+    """n x n cells on the square of a chart that is linear on each face; folds are edges or diagonals of cells."""
+
+    n: int
+    _scale: ClassVar[float]  # area in the plane of x and y of a piece of a face, by its area in the square
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.n, self.n
+
+    def refine(self, k: int) -> Self:
+        return replace(self, n=self.n * _positive("k", k))
+
+    @abstractmethod
+    def _chart(self, d: Tensor) -> Tensor:
+        """(a, b) (..., 2) of directions (..., 3)."""
+
+    @abstractmethod
+    def _points(self, b: Tensor, a: Tensor) -> Tensor:
+        """Points (..., 3) of the octahedron, the inverse of `_chart`."""
+
+    def cell(self, directions: Tensor) -> Tensor:
+        a, b = self._chart(_checked(directions)).unbind(-1)
+        return _index((b + 1) / 2, self.n) * self.n + _index((a + 1) / 2, self.n)
+
+    def _directions(self, rows: Tensor, columns: Tensor) -> Tensor:
+        return _unit(self._points(*_pairs(2 * _centres(rows) - 1, 2 * _centres(columns) - 1)))
+
+    def _solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
+        # both diagonals cut a cell in four triangles, none of which has a fold inside
+        b, a = 2 * rows - 1, 2 * columns - 1
+        corner, centre = self._points(*_pairs(b, a)), self._points(*_pairs(_centres(b), _centres(a)))
+        around = corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]
+        # p . (q x r) is twice a triangle's area in the plane of x and y, as |x| + |y| + |z| = 1: no cancellation
+        volume = self._scale / 2 * b.diff()[:, None] * a.diff()
+        pairs = zip(around, (*around[1:], around[0]), strict=True)
+        return torch.stack([_triangle(centre, p, q, volume) for p, q in pairs]).sum(0)
+
+
+@dataclass(frozen=True)
+class Octahedral(_Unfolded):
+    """The sphere, n even: +z at the centre of the square, -z at its corners, z = 0 on |a| + |b| = 1.
+
+    The inner diamond holds the directions (a, b, 1 - |a| - |b|). The outer triangles are the lower faces, folded
+    out: ((1 - |b|) sign a, (1 - |a|) sign b, 1 - |a| - |b|).
+    """
+
+    _scale = 1.0
+
+    def __post_init__(self) -> None:
+        if self.n < 2 or self.n % 2:
+            raise ValueError(f"n must be even and at least 2, got {self.n}")
+
+    def _chart(self, d: Tensor) -> Tensor:
+        return octahedral(d)
+
+    def _points(self, b: Tensor, a: Tensor) -> Tensor:
+        z = 1 - a.abs() - b.abs()
+        return torch.stack((*_folded(a, b, z), z), dim=-1)
+
+
+@dataclass(frozen=True)
+class HemiOctahedral(_Unfolded):
+    """The hemisphere around +z: the horizon on the edges of the square, +x at (a, b) = (1, 1), +y at (1, -1).
+
+    With x = (a + b) / 2 and y = (a - b) / 2, (a, b) holds the direction (x, y, 1 - |x| - |y|). `cell` takes a
+    direction below the horizon to the cell of its mirror image above.
+    """
+
+    _scale = 0.5
+
+    def __post_init__(self) -> None:
+        _positive("n", self.n)
+
+    def _chart(self, d: Tensor) -> Tensor:
+        return hemi_octahedral(d)
+
+    def _points(self, b: Tensor, a: Tensor) -> Tensor:
+        x, y = (a + b) / 2, (a - b) / 2
+        return torch.stack((x, y, 1 - x.abs() - y.abs()), dim=-1)
+
+
+def _on_octahedron(d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    x, y, z = (d / d.abs().sum(-1, keepdim=True)).unbind(-1)
+    return x, y, z
+
+
+def _folded(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
+    """(x, y), turned about the diamond's side |x| + |y| = 1 where z < 0; its own inverse."""
+    turned_x, turned_y = (1 - y.abs()).copysign(x), (1 - x.abs()).copysign(y)
+    return torch.where(z < 0, turned_x, x), torch.where(z < 0, turned_y, y)
+
+
+def _triangle(p: Tensor, q: Tensor, r: Tensor, volume: Tensor) -> Tensor:
+    """Solid angle of the triangle p, q, r with |p . (q x r)| = volume, by Van Oosterom and Strackee."""
+    lp, lq, lr = p.norm(dim=-1), q.norm(dim=-1), r.norm(dim=-1)
+    pq, qr, rp = (p * q).sum(-1), (q * r).sum(-1), (r * p).sum(-1)
+    return 2 * torch.atan2(volume, lp * lq * lr + pq * lr + qr * lp + rp * lq)
