@@ -8,6 +8,7 @@ ptt.render(scene, scene.camera, radiance).save("watch.png")
 """
 
 from ptt import reference
+from ptt.clustering import Clusters
 from ptt.compress import compress
 from ptt.environment import Environment
 from ptt.materials import Material, blinn_phong, cook_torrance, ggx, lambert, ward
@@ -32,6 +33,7 @@ __all__ = [
     "Blend",
     "BlinnPhong",
     "Camera",
+    "Clusters",
     "CookTorrance",
     "Environment",
     "Image",

@@ -12,7 +12,7 @@ fractional visibility); so both reflections are matrix products. Lighting l: the
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -114,7 +114,7 @@ class Bounces:
         self.projector = torch.linalg.pinv(values).float()  # shape: (s, n); exact for what the harmonics span
         self.change = change.float()
         self.response = responses(brdf)
-        self.mirrored = _mirrored(brdf.angles)
+        self.mirrored = _mirrored(brdf.angles, raw.resolution)
 
     def _has(self, region: int) -> bool:
         return any(slot.region == region for slot in self.slots)
@@ -184,9 +184,14 @@ class Bounces:
 
     def filtered(self, directions: Tensor) -> Tensor:
         """Z_s at directions (m, 3), as each lobe blurs it (m, k, s)."""
-        blur = torch.stack([lobes.zonal(a, ORDER) for a in self.brdf.angles])[:, harmonics.degrees(ORDER)]
         y = harmonics.evaluate(directions, ORDER)
-        return (y[:, None] * blur.to(y)) @ self.change.T
+        return (y[:, None] * blurs(self.brdf.angles).to(y)) @ self.change.T
+
+
+def blurs(angles: Sequence[float]) -> Tensor:
+    """What each lobe leaves of each harmonic (k, s), float64."""
+    table = [lobes.zonal(a, ORDER)[harmonics.degrees(ORDER)] for a in angles]
+    return torch.stack(table) if table else torch.zeros(0, ORDER**2, dtype=torch.float64)
 
 
 def responses(brdf: TensorBRDF) -> Tensor:
@@ -200,19 +205,17 @@ def responses(brdf: TensorBRDF) -> Tensor:
     return torch.cat((constant, specular), 1).float()
 
 
-def _mirrored(angles: Sequence[float]) -> Tensor:
-    """Mean light about the cells of MIRRORS under each lobe (cells, k, l), of coarse Haar coefficients."""
+def _mirrored(angles: Sequence[float], resolution: int) -> Tensor:
+    """Mean light about the cells of MIRRORS under each lobe (cells, k, l), of a cube map's coarse Haar coefficients."""
+    if not angles:
+        return torch.zeros(MIRRORS.cells, 0, 6 * COARSE**2)
     fine, solid = SMOOTH.directions().reshape(-1, 3).float(), SMOOTH.solid_angles().flatten().float()
     rows = []
     for axis in MIRRORS.directions().reshape(-1, 3).float().split(64):
         angle = torch.linalg.cross(axis[:, None], fine[None]).norm(dim=2).atan2(axis @ fine.T)
         weight = torch.stack([lobes.gaussian(angle, max(a, 7.0)) for a in angles], 1) * solid
         weight = weight / weight.sum(2, keepdim=True)
-        coarse = haar.analyse(weight.unflatten(2, SMOOTH.shape))[..., :COARSE, :COARSE] * (SMOOTH.n / 64)
+        coarse = haar.analyse(weight.unflatten(2, SMOOTH.shape))[..., :COARSE, :COARSE] * (SMOOTH.n / resolution)
         rows.append(coarse.flatten(2))
     return torch.cat(rows)
 
-
-def blocks(count: int, size: int) -> Iterator[Tensor]:
-    """0..count-1 in blocks."""
-    yield from torch.arange(count).split(size)

@@ -7,7 +7,7 @@ has a slot for each colour channel, and all others are monochrome: H carries the
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -45,13 +45,12 @@ def slots_of(receivers: Receivers, functions: int) -> list[Slot]:
     return found
 
 
-def coefficients(slots: Sequence[Slot], basis: BRDFBasis, materials: Mapping[str, Material]) -> Tensor:
+def coefficients(slots: Sequence[Slot], basis: BRDFBasis, materials: Sequence[Material]) -> Tensor:
     """H (q, 3), of materials in the order of the regions; differentiable in their weights and parameters."""
     rows = []
-    given = list(materials.values())
-    tables = [basis.coefficients(material) if material.shape else None for material in given]
+    tables = [basis.coefficients(material) if material.shape else None for material in materials]
     for slot in slots:
-        material, table = given[slot.region], tables[slot.region]
+        material, table = materials[slot.region], tables[slot.region]
         if slot.function == 0:
             colour = material.diffuse.to(basis.table)
             keep = torch.arange(3) == slot.channel if slot.channel >= 0 else torch.ones(3, dtype=torch.bool)

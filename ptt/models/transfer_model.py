@@ -11,6 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from ptt import saved
+from ptt.models.brdf_basis import BRDFBasis
+from ptt.models.clustered_transfer import ClusteredTransfer
+from ptt.models.slots import Slot, slots_of
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.ops.haar import Truncated
 from ptt.ops.sphere import Cube
@@ -69,35 +72,45 @@ def _column_type(length: int) -> torch.dtype:
 
 
 class TransferModel(nn.Module):
-    """T0 in the Haar basis of a cube map, truncated, with the receivers and the BRDF tensor that it belongs to.
+    """Transfer to the receivers, with the BRDF tensor and the basis of slots that it belongs to.
 
     receivers: names, counts and default materials of the regions
-    kept, columns, values: of the `SparseTransfer`; factor 0 is diffuse
+    brdf, basis: how points reflect, and how light is reflected on its way; basis is None without clusters
+    regions: a `ClusteredTransfer` each, or none: then kept, columns, values are the `SparseTransfer` of all points
     positions (v, 3), frames (v, 3, 3), colours (v, 3): of the receivers
     resolution: cells along an edge of the cube map
     truncation_error: relative L2 error of T0 that leaving out the other coefficients makes
     """
 
-    kept: Tensor
-    columns: Tensor
-    values: Tensor
     positions: Tensor
     frames: Tensor
     colours: Tensor
 
     def __init__(
-        self, receivers: Receivers, brdf: TensorBRDF, resolution: int, t0: SparseTransfer, truncation_error: float
+        self,
+        receivers: Receivers,
+        brdf: TensorBRDF,
+        basis: BRDFBasis | None,
+        resolution: int,
+        sparse: SparseTransfer | None,
+        regions: Sequence[ClusteredTransfer],
+        truncation_error: float,
     ) -> None:
         super().__init__()
-        self.receivers, self.resolution, self.brdf = receivers, resolution, brdf
-        self.truncation_error = truncation_error
-        for name, tensor in {**t0._asdict(), **receivers.tensors()}.items():
+        self.receivers, self.resolution, self.brdf, self.basis = receivers, resolution, brdf, basis
+        self.truncation_error, self.regions = truncation_error, nn.ModuleList(regions)
+        for name, tensor in {**(sparse._asdict() if sparse else {}), **receivers.tensors()}.items():
             self.register_buffer(name, tensor)
 
     @property
     def grid(self) -> Cube:
         """The lighting's cube map."""
         return Cube(self.resolution)
+
+    @property
+    def slots(self) -> list[Slot]:
+        """The ways light can be reflected on its path."""
+        return slots_of(self.receivers, self.basis.mixture.shape[1]) if self.basis else []
 
     @property
     def bytes(self) -> int:

@@ -1,9 +1,9 @@
-"""Precomputed transfer tensors (Sun et al. 2007): light, materials and view change, and shadows follow."""
+"""Precomputed transfer tensors (Sun et al. 2007): light, materials and view change, shadows and bounces follow."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -12,8 +12,9 @@ from ptt import materials as mat
 from ptt.environment import Environment
 from ptt.materials import Material
 from ptt.models.cache import Cache
+from ptt.models.cluster_steps import ClusterSteps
+from ptt.models.point_steps import PointSteps
 from ptt.models.transfer_model import TransferModel
-from ptt.ops import haar, relight
 from ptt.scene import Camera
 
 View = Camera | Tensor
@@ -34,14 +35,11 @@ class TransferRelighter(nn.Module):
         >>> radiance = relighter(light.rotated(y=30), {"knot": blinn_phong(0.1, 0.6, 40.0)}, camera)
     """
 
-    t0: Tensor
-
     def __init__(self, model: TransferModel, compiled: bool = False) -> None:
         super().__init__()
         self.model = model
-        self.register_buffer("t0", model.transfer(), persistent=False)
-        self._view_step = relight.compiled(relight.view_step) if compiled else relight.view_step
-        self._incident, self._exitant, self._outgoing = Cache(), Cache(), Cache()
+        self.steps = (ClusterSteps if len(model.regions) else PointSteps)(model, compiled)
+        self._incident, self._exitant, self._radiance = Cache(), Cache(), Cache()
 
     def forward(self, environment: Environment, materials: Mapping[str, Material], view: View) -> Tensor:
         """Radiance (v, 3) of every point toward the viewer.
@@ -56,62 +54,30 @@ class TransferRelighter(nn.Module):
                 space, or a view of another shape.
         """
         chosen = self._chosen(materials)
-        return self._view_step(self.outgoing(view), self.exitant(environment, chosen))
+        return self.steps.radiance(self.exitant(environment, chosen), self._toward(view))
 
-    def incident(self, environment: Environment) -> Tensor:
-        """Light step: U (c, i, v), the light that reaches each point through each incident factor."""
+    def incident(self, environment: Environment) -> Any:
+        """Light step: what depends on the light alone."""
+        inputs = environment, list(self.model.buffers())
+        return self._incident(inputs, lambda: self.steps.incident(environment))
 
-        def compute() -> Tensor:
-            texels = environment.project(self.model.grid).to(self.t0)  # shape: (6, n, n, c)
-            lighting = haar.analyse(texels.movedim(-1, 0)).flatten(1).T.contiguous()
-            return relight.light_step(self.t0, lighting, len(self.model.kept))
-
-        return self._incident((environment, self.t0), compute)
-
-    def exitant(self, environment: Environment, materials: Mapping[str, Material]) -> Tensor:
-        """BRDF step: Q (c, o, v), what each point sends out through each outgoing factor."""
+    def exitant(self, environment: Environment, materials: Mapping[str, Material]) -> Any:
+        """BRDF step: what depends on the light and on the materials (of every region, in their order)."""
         incident = self.incident(environment)
-
-        def compute() -> Tensor:
-            q = relight.brdf_step(self.matrices(materials), incident, self.model.receivers.spans)
-            return torch.cat((q[:, :1] * self.model.colours.T[:, None], q[:, 1:]), dim=1)
-
-        return self._exitant((incident, dict(materials), list(self.model.brdf.buffers())), compute)
-
-    def outgoing(self, view: View) -> Tensor:
-        """View factors V (o, v): 1 for the diffuse part, then those of the BRDF tensor."""
-
-        def compute() -> Tensor:
-            local = torch.einsum("vij,vj->vi", self.model.frames, self._toward(view))
-            factors = self.model.brdf.outgoing(local)
-            return torch.cat((torch.ones_like(factors[:1]), factors))
-
-        return self._outgoing((view, self.model.positions, self.model.brdf.u_o), compute)
-
-    def matrices(self, materials: Mapping[str, Material]) -> Tensor:
-        """M (c, r, 1 + o, 1 + i) of all regions, in their order."""
-        return torch.stack([self._matrix(materials[name]) for name in self.model.receivers.names], 1)
-
-    def _matrix(self, material: Material) -> Tensor:
-        core = self.model.brdf.core
-        diffuse = material.diffuse.to(core)[:, None, None] / math.pi
-        if material.shape is None:
-            specular = core.new_zeros(3, *core.shape[1:])
-        else:
-            specular = material.specular.to(core)[:, None, None] * self.model.brdf.matrix(material.shape)
-        top = nn.functional.pad(diffuse, (0, core.shape[2]))
-        return torch.cat((top, nn.functional.pad(specular, (1, 0))), dim=1)
+        inputs = incident, dict(materials), list(self.model.brdf.buffers())
+        return self._exitant(inputs, lambda: self.steps.exitant(incident, list(materials.values())))
 
     def _toward(self, view: View) -> Tensor:
+        """The eye (3,), or unit directions (v, 3) to the viewer."""
         positions = self.model.positions
         if isinstance(view, Camera):
-            return view.toward(positions)
+            return torch.tensor(view.eye).to(positions)
         if view.shape not in ((3,), positions.shape):
             raise ValueError(f"view must be a Camera, (3,) or {tuple(positions.shape)}, got {tuple(view.shape)}")
-        directions = view.to(positions) - positions if view.shape == (3,) else view.to(positions)
         if not bool(torch.isfinite(view).all()) or (view.ndim == 2 and not bool((view != 0).any(1).all())):
             raise ValueError("view must be finite, and directions not zero")
-        return nn.functional.normalize(directions, dim=1)
+        view = view.to(positions)
+        return view if view.ndim == 1 else nn.functional.normalize(view, dim=1)
 
     def _chosen(self, materials: Mapping[str, Material]) -> dict[str, Material]:
         own = self.model.receivers
