@@ -93,7 +93,7 @@ class Reflector:
     def reflectances(self, wo: Tensor) -> Tensor:
         """Reflectances (m, p, k) of their lobes, towards wo (m, 3)."""
         p, k = self.peaks.shape[:2]
-        return lobes.lookup(self.peaks.flatten(0, 1), wo).reshape(p, k, -1).permute(2, 0, 1)
+        return lobes.lookup(self.peaks.flatten(0, 1), wo).reshape(p, k, len(wo)).permute(2, 0, 1)
 
 
 class Bounces:

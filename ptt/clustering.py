@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from ptt.bounces import COARSE, ORDER, Bounces, responses
 from ptt.models.brdf_basis import BRDFBasis
-from ptt.models.clustered_transfer import WIDTH, ClusteredTransfer, Parts, in_blocks
+from ptt.models.clustered_transfer import LOBES, STORAGE, WIDTH, ClusteredTransfer, Parts, in_blocks
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.ops import cpca, haar
 from ptt.ops.sphere import Cube
@@ -47,13 +47,23 @@ class Clusters:
     eigenvectors: of each cluster: the paper's 32
     lighting: of each cluster, dimensions in which indirect light is lit: the paper's 64
     columns: coefficients of T0 of each cluster
+    storage: float32, float16 or bfloat16
+
+    Raises:
+        ValueError: a number below 1, or another storage.
     """
 
     points: int = 250
     eigenvectors: int = 32
     lighting: int = 64
     columns: int = 512
-    storage: torch.dtype = torch.float16
+    storage: torch.dtype = torch.bfloat16
+
+    def __post_init__(self) -> None:
+        if min(self.points, self.eigenvectors, self.lighting, self.columns) < 1:
+            raise ValueError(f"points, eigenvectors, lighting and columns must be at least 1, got {self}")
+        if self.storage not in STORAGE.values():
+            raise ValueError(f"storage must be one of {', '.join(STORAGE)}, got {self.storage}")
 
 
 class Features(NamedTuple):
@@ -87,7 +97,7 @@ def compress_regions(
 ) -> list[ClusteredTransfer]:
     """The clustered transfer of every region, in their order."""
     weights = _features(brdf, basis, paths)
-    indirect = _indirect(paths, weights, progress) if paths else _none(raw)
+    indirect = _indirect(paths, weights, progress) if paths and paths.slots else _none(raw)
     found = []
     total = sum(1 for count in raw.receivers.counts if count)
     with tqdm(total=total, desc="clusters", unit=" regions", disable=not progress) as bar:
@@ -108,7 +118,8 @@ def _features(brdf: TensorBRDF, basis: BRDFBasis, paths: Bounces | None) -> Feat
 
 def _none(raw: RawTransfer) -> Indirect:
     v = len(raw.receivers)
-    return Indirect(torch.zeros(v, 0, ORDER**2, 0), torch.zeros(v, 0, 0, 0), torch.zeros(0, 6 * COARSE**2), 1.0)
+    two = torch.zeros(v, 0, 0, 6 * COARSEST**2)
+    return Indirect(torch.zeros(v, 0, ORDER**2, 0), two, torch.zeros(0, 6 * COARSE**2), 1.0)
 
 
 def _indirect(paths: Bounces, weights: Features, progress: bool) -> Indirect:
@@ -165,8 +176,8 @@ def _region(
     slots = torch.nonzero(one.abs().amax((0, 2, 3)) > 0)[:, 0] if one.numel() else torch.zeros(0, dtype=torch.int64)
     pairs = torch.nonzero(two.abs().amax((0, 3)) > 0) if two.numel() else torch.zeros(0, 2, dtype=torch.int64)
     x = _sketch(first, end, direct, indirect, weights, slots, pairs)
-    labels = cpca.cluster(x, max(1, round(len(x) / clusters.points)), clusters.eigenvectors)
-    count = int(labels.max()) + 1
+    labels = cpca.cluster(x, max(1, round(len(x) / clusters.points)), clusters.eigenvectors) if len(x) else rows
+    count = int(labels.max()) + 1 if len(x) else 1
     cluster, place = in_blocks(labels)
     combination = torch.zeros(len(x), clusters.eigenvectors)
     made = []
@@ -174,25 +185,25 @@ def _region(
         at = torch.nonzero(labels == k)[:, 0]
         found = cpca.basis(x[at], clusters.eigenvectors)
         q, r = torch.linalg.qr((x[at] @ found.T).double())
-        full = r.diagonal().abs() > 1e-6 * r.diagonal().abs().max()
+        full = r.diagonal().abs() > 1e-6 * r.diagonal().norm()
         combination[at, : q.shape[1]] = (q * full).float() * math.sqrt(len(at))
         made.append(_lifted(at + first, combination[at] / len(at), grid, direct, indirect, weights, slots, pairs, clusters))
     stored = clusters.storage
     columns, t0, lighting, t1, t2 = (torch.stack(parts) for parts in zip(*made, strict=True))
     blocks = torch.zeros(len(cluster) * WIDTH, clusters.eigenvectors)
     blocks[place] = combination
-    kept_cuts = torch.zeros(len(blocks), *cuts.shape[1:], dtype=torch.uint8)
-    kept_cuts[place] = cuts[first:end]
+    kept_cuts = torch.zeros(len(blocks), cuts.shape[1], LOBES, dtype=torch.uint8)
+    kept_cuts[place, :, : cuts.shape[2]] = cuts[first:end]
     parts = Parts(
         cluster,
         place,
-        blocks.unflatten(0, (len(cluster), -1)).transpose(1, 2).contiguous().to(stored),
+        blocks.unflatten(0, (-1, WIDTH)).transpose(1, 2).contiguous().to(stored),
         columns,
         t0.to(stored),
         lighting,
         t1.to(stored),
         t2.to(stored),
-        kept_cuts,
+        kept_cuts.view(torch.int32).squeeze(2),
     )
     return ClusteredTransfer(parts, slots.tolist(), pairs.tolist())
 

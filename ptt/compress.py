@@ -59,8 +59,12 @@ def compress(
         raise ValueError(f"coefficients must be in 6..{grid.cells}, got {keep}")
     if raw.bounces and clusters is None:
         raise ValueError("light that bounces needs clusters, got None")
-    brdf = brdf or TensorBRDF.fit(BRDFSpace.blinn_phong(), ranks=RANKS, separated=3)
+    if clusters and raw.resolution < bounces.COARSE:
+        raise ValueError(f"clusters need a resolution of at least {bounces.COARSE}, got {raw.resolution}")
+    brdf = brdf or TensorBRDF.fit(BRDFSpace.blinn_phong(), ranks=RANKS, separated=3 if clusters else 0)
     if clusters is None:
+        if brdf.angles:
+            raise ValueError("brdf must be fitted with separated=0: without clusters no lobes are shown")
         direct = _direct(raw, grid, brdf, keep, progress)
         return TransferModel(raw.receivers, brdf, None, raw.resolution, direct.sparse, [], direct.error)
     basis = basis or BRDFBasis.fit(brdf.space)
@@ -101,7 +105,7 @@ def _direct(raw: RawTransfer, grid: Cube, brdf: TensorBRDF, keep: int, progress:
             values.append(part.values)
             coarse.append(t0.unflatten(2, grid.shape)[..., :coarsest, :coarsest].flatten(2))
             whole += float(t0.norm()) ** 2
-            left += float(t0.flatten(1).scatter_(1, part.indices.long(), 0.0).norm()) ** 2
+            left += float(t0.flatten(1).scatter(1, part.indices.long(), 0.0).norm()) ** 2
             bar.update(len(t0))
     error = math.sqrt(left / whole) if whole else 0.0
     return Direct(torch.cat(indices), torch.cat(values), torch.cat(coarse), grid.cells, error)
@@ -122,7 +126,7 @@ def _blocks(raw: RawTransfer, grid: Cube, factors: Tensor) -> Iterator[Tensor]:
 def _cuts(raw: RawTransfer, grid: Cube, brdf: TensorBRDF, progress: bool) -> Tensor:
     """Fractional visibility (v, cells, k) uint8 of the lobes; none without lobes."""
     if not brdf.angles:
-        return torch.zeros(len(raw.receivers), 0, 0, dtype=torch.uint8)
+        return torch.zeros(len(raw.receivers), bounces.CUTS**2, 0, dtype=torch.uint8)
     parts = []
     with tqdm(total=len(raw.receivers), desc="lobes", unit=" points", disable=not progress) as bar:
         for visible, frames in zip(raw.visible.split(512), raw.receivers.frames.split(512), strict=True):

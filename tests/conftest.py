@@ -45,4 +45,23 @@ def small_model(small_raw: ptt.RawTransfer) -> ptt.TransferModel:
         small_raw,
         64,
         ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong(ptt.spaces.MODERATE), ranks=(3, 10, 10), separated=0),
+        clusters=None,
     )
+
+
+@pytest.fixture(scope="session")
+def small_bounced(small_scene: ptt.Scene) -> ptt.RawTransfer:
+    return ptt.precompute(small_scene, 2, resolution=16, rays=128)
+
+
+@pytest.fixture(scope="session")
+def glossy() -> tuple[ptt.TensorBRDF, ptt.BRDFBasis]:
+    """A small space with lobes: as points reflect, and as light is reflected on its way."""
+    space = ptt.BRDFSpace.blinn_phong((2.0, 4.0, 8.0, 16.0, 32.0, 64.0))
+    return ptt.TensorBRDF.fit(space, ranks=(3, 8, 8), separated=3), ptt.BRDFBasis.fit(space, 4)
+
+
+@pytest.fixture(scope="session")
+def clustered_model(small_bounced: ptt.RawTransfer, glossy: tuple[ptt.TensorBRDF, ptt.BRDFBasis]) -> ptt.TransferModel:
+    """Two bounces and lobes; clusters of about 60 points with 8 eigen-points each; in float32, as exact as it gets."""
+    return ptt.compress(small_bounced, 64, *glossy, ptt.Clusters(60, 8, 32, 128, torch.float32))

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from ptt.ops import brdf, lobes
+from ptt.ops import brdf, harmonics, lobes
 from ptt.ops.albedo import nodes
 from ptt.shapes import GGX, BlinnPhong, CookTorrance, Shape, Ward
 
@@ -114,3 +114,30 @@ def test_lookup_reproduces_its_nodes_and_wraps_around() -> None:
     nearly = torch.tensor([[0.6, -1e-9, 0.8]], dtype=torch.float64)
     exactly = torch.tensor([[0.6, 0.0, 0.8]], dtype=torch.float64)
     assert torch.allclose(lobes.lookup(table, nearly), lobes.lookup(table, exactly), atol=1e-6)
+
+
+@pytest.mark.parametrize("lobe", lobes.ANGLES)
+def test_zonal_is_what_a_lobe_leaves_of_harmonics(lobe: float) -> None:
+    """Funk and Hecke: the mean of Y_s under G_k about an axis is zonal[degree of s] Y_s(axis).
+
+    By midpoints on a polar grid about the axis, sin(t) dt dphi, independent of Legendre polynomials. The lobe of 0
+    degrees is a mirror: 1 throughout, though `gaussian` gives it a width. 21 degrees leave about 1 - l (l + 1) s^2 / 2.
+    """
+    order, rings, turns = 5, 400, 64
+    axis = tilted(50.0, 20.0)
+    across = torch.linalg.cross(axis, tilted(0.0))
+    across = across / across.norm()
+    t = (torch.arange(rings, dtype=torch.float64) + 0.5) * (3 * lobes.sigma(lobe) / rings)
+    phi = torch.arange(turns, dtype=torch.float64) * (2 * math.pi / turns)
+    circle = phi.cos()[:, None] * across + phi.sin()[:, None] * torch.linalg.cross(axis, across)
+    d = t.cos()[:, None, None] * axis + t.sin()[:, None, None] * circle
+    weight = (lobes.gaussian(t, lobe) * t.sin())[:, None, None]
+    mean = (harmonics.evaluate(d, order) * weight).sum((0, 1)) / (weight.sum() * turns)
+    found = lobes.zonal(lobe, order)
+    assert found.shape == (order,) and found.dtype == torch.float64
+    if lobe == 0:
+        assert torch.equal(found, torch.ones_like(found))
+    else:
+        left = found[harmonics.degrees(order)]
+        assert torch.allclose(mean, left * harmonics.evaluate(axis, order), rtol=0, atol=1e-6)
+        assert (found.diff() < 0).all() and float(found[0]) == pytest.approx(1.0, abs=1e-12)

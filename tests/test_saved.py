@@ -35,11 +35,89 @@ def test_round_trip_relights_the_same(path: Path, small_model: ptt.TransferModel
     assert again.truncation_error == small_model.truncation_error
 
 
+@pytest.fixture()
+def clustered(clustered_model: ptt.TransferModel, tmp_path: Path) -> Path:
+    clustered_model.save(tmp_path / "c.safetensors")
+    return tmp_path / "c.safetensors"
+
+
+def test_clusters_round_trip_to_the_bit(clustered: Path, clustered_model: ptt.TransferModel) -> None:
+    again = ptt.TransferModel.load(clustered)
+    before, after = (dict(m.named_buffers()) for m in (clustered_model, again))
+    assert before.keys() == after.keys() and "kept" not in before
+    assert all(after[name].dtype == t.dtype and torch.equal(after[name], t) for name, t in before.items())
+    assert [(r.slots, r.pairs) for r in again.regions] == [(r.slots, r.pairs) for r in clustered_model.regions]
+    light, eye = ptt.Environment.constant(1.0), torch.tensor([1.0, 2.0, 3.0])
+    a, b = (ptt.TransferRelighter(m)(light, {}, eye) for m in (clustered_model, again))
+    assert torch.equal(a, b)
+    assert again.truncation_error == clustered_model.truncation_error
+    again.save(clustered.with_name("again.safetensors"))
+    assert clustered.with_name("again.safetensors").read_bytes() == clustered.read_bytes()
+
+
+def test_damaged_clusters(clustered: Path) -> None:
+    header, tensors = parts(clustered)
+    one = "regions.1."
+    cases = [
+        ({k: t for k, t in tensors.items() if k != one + "weights"}, "lacks the tensor regions.1.weights"),
+        ({k: t for k, t in tensors.items() if k != "basis.table"}, "lacks the tensor basis.table"),
+        (tensors | {"regions.2.place": torch.zeros(1)}, "unknown tensors: regions.2.place"),
+        (tensors | {one + "direct": tensors[one + "direct"].half()}, "direct must be torch.float32"),
+        (tensors | {one + "weights": tensors[one + "weights"][:, 1:].clone()}, "weights must be torch.float32"),
+        (tensors | {one + "two": tensors[one + "two"] / 0}, "two holds values that are not finite"),
+        (tensors | {one + "cluster": tensors[one + "cluster"] + 9}, "cluster must be in 0"),
+        (tensors | {one + "cluster": tensors[one + "cluster"] - 1}, "cluster must be in 0"),
+        (tensors | {one + "columns": tensors[one + "columns"] + 1500}, r"columns must be in 0\.\.1535"),
+        (tensors | {one + "place": tensors[one + "place"] + 64 * 99}, "place must be in 0"),
+    ]
+    for changed, message in cases:
+        edit(clustered, header, changed)
+        with pytest.raises(ValueError, match=f"c.safetensors.*{message}"):
+            ptt.TransferModel.load(clustered)
+
+
+def test_damaged_config_of_clusters(clustered: Path) -> None:
+    header, tensors = parts(clustered)
+    good = header["config"]["clustered"]
+    first = good[1]
+    lighting = first["lighting"]
+    cases = [
+        ({"storage": "float8"}, "float8"),
+        ({"slots": [99, *first["slots"][1:]]}, r"slots must be in 0\.\."),
+        ({"slots": [-1, *first["slots"][1:]]}, r"slots must be in 0\.\."),
+        ({"pairs": [[0, 99], *first["pairs"][1:]]}, r"pairs must be in 0\.\."),
+        ({"eigenvectors": 9}, "weights must be"),
+        ({"lighting": [lighting[0], 96, lighting[2]]}, "lighting must be"),
+    ]
+    for change, message in cases:
+        header["config"]["clustered"] = [good[0], first | change]
+        edit(clustered, header, tensors)
+        with pytest.raises(ValueError, match=f"c.safetensors.*{message}"):
+            ptt.TransferModel.load(clustered)
+    for damaged in (good[:1], [*good, first], [good[0], {k: v for k, v in first.items() if k != "pairs"}]):
+        header["config"]["clustered"] = damaged
+        edit(clustered, header, tensors)
+        with pytest.raises(ValueError, match=r"c\.safetensors"):
+            ptt.TransferModel.load(clustered)
+
+
 def test_raw_round_trip(small_raw: ptt.RawTransfer, tmp_path: Path) -> None:
     small_raw.save(tmp_path / "r.safetensors")
     again = ptt.RawTransfer.load(tmp_path / "r.safetensors")
     assert torch.equal(again.visible, small_raw.visible) and again.resolution == small_raw.resolution
     assert again.receivers.names == small_raw.receivers.names
+
+
+def test_raw_of_bounces(small_bounced: ptt.RawTransfer, tmp_path: Path) -> None:
+    path = tmp_path / "r.safetensors"
+    small_bounced.save(path)
+    again = ptt.RawTransfer.load(path)
+    assert torch.equal(again.hits, small_bounced.hits) and again.bounces == 2
+    header, tensors = parts(path)
+    for change in (1000, -2):
+        edit(path, header, tensors | {"hits": tensors["hits"].clone().fill_(change)})
+        with pytest.raises(ValueError, match=r"r.safetensors.*hits: must be in -1"):
+            ptt.RawTransfer.load(path)
 
 
 @pytest.mark.parametrize("keep", [0, 5, 200, -1])

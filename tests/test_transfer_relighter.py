@@ -28,7 +28,7 @@ def facing(scene: ptt.Scene) -> Tensor:
 def test_against_the_path_tracer(small_scene: ptt.Scene) -> None:
     """Untruncated, at 32 cells an edge, exponent 12: what remains is the cube map's and the tensor's resolution."""
     brdf = ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong((12.0,)), ranks=(1, 24, 24), separated=0)
-    model = ptt.compress(ptt.precompute(small_scene, 32), None, brdf)
+    model = ptt.compress(ptt.precompute(small_scene, resolution=32), None, brdf, clusters=None)
     radiance = ptt.TransferRelighter(model)(SKY, small_scene.materials, small_scene.camera)
     truth = ptt.reference.at_vertices(small_scene, SKY, small_scene.materials, small_scene.camera, samples=2048)
     at = facing(small_scene)
@@ -98,7 +98,7 @@ def test_caches_save_work_and_never_go_stale(relighter: ptt.TransferRelighter, s
 def test_gradients_reach_light_weights_and_exponent(small_raw: ptt.RawTransfer, small_scene: ptt.Scene) -> None:
     """Against central differences in float64."""
     brdf = ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong(ptt.spaces.MODERATE), ranks=(3, 6, 6), separated=0)
-    relighter = ptt.TransferRelighter(ptt.compress(small_raw, 32, brdf)).double()
+    relighter = ptt.TransferRelighter(ptt.compress(small_raw, 32, brdf, clusters=None)).double()
     eye = torch.tensor([1.0, 2.0, 3.0])
     texels = torch.rand(4, 8, 3, generator=torch.Generator().manual_seed(0))
 

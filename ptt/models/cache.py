@@ -29,7 +29,7 @@ class Cache:
         self._stamp: Any = None
         self._result: Any = None
 
-    def __call__(self, inputs: Any, compute: Callable[[], Tensor]) -> Tensor:
+    def __call__(self, inputs: Any, compute: Callable[[], Any]) -> Any:
         """`compute()`, or its last result if `inputs` (tensors, dataclasses, mappings, plain values) are the same.
 
         Results that carry gradients or were made from inference tensors are not kept: their graph serves once.
@@ -42,7 +42,7 @@ class Cache:
         if self._stamp != stamp:
             self._result = compute()
             self._stamp = stamp
-        return self._result  # type: ignore[no-any-return]
+        return self._result
 
 
 def _stamp(value: Any, leaves: list[Tensor]) -> Any:

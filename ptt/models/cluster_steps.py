@@ -12,16 +12,21 @@ from ptt.bounces import COARSE, ORDER, blurs, responses
 from ptt.clustering import COARSEST
 from ptt.environment import Environment
 from ptt.materials import Material
-from ptt.models import lobe_light, slots
+from ptt.models import light_maps, slots
 from ptt.models.cache import Cache
 from ptt.models.clustered_transfer import ClusteredTransfer
+from ptt.models.light_maps import LightMaps
 from ptt.models.point_steps import matrix
 from ptt.models.transfer_model import TransferModel
-from ptt.ops import haar, harmonics, lobes, relight, transfer
+from ptt.ops import haar, harmonics, relight, view
+from ptt.ops.view import Gloss, Points
+
+TINY = 1e-30
+DULL = 1e-4  # a lobe that reflects no more than this is left out
 
 
 class Lit(NamedTuple):
-    """Under one light: U0, U1 and U2 of every region, and the prefiltered maps with the turn into them."""
+    """Under one light: U0, U1 and U2 of every region; the blurred maps (cells, k, c), and the turn of the light."""
 
     direct: list[Tensor]
     one: list[Tensor]
@@ -31,14 +36,10 @@ class Lit(NamedTuple):
 
 
 class Sent(NamedTuple):
-    """With materials: Q (b, c, o, w) and indirect light (b, c, s, w) of every region, tables and weights of lobes."""
+    """With materials: Q and I (b, c, 1 + o + s, w) and the lobes of every region."""
 
     sent: list[Tensor]
-    arriving: list[Tensor]
-    tables: list[Tensor | None]
-    specular: list[Tensor]
-    maps: Tensor
-    turn: Tensor
+    gloss: list[Gloss | None]
 
 
 class ClusterSteps(nn.Module):
@@ -47,6 +48,7 @@ class ClusterSteps(nn.Module):
     to_factors: Tensor
     to_harmonics: Tensor
     blurs: Tensor
+    outgoing: Tensor
 
     def __init__(self, model: TransferModel, compiled: bool) -> None:
         super().__init__()
@@ -54,80 +56,85 @@ class ClusterSteps(nn.Module):
         self.register_buffer("to_factors", responses(model.brdf), persistent=False)
         self.register_buffer("to_harmonics", harmonics.hemispherical(ORDER).float(), persistent=False)
         self.register_buffer("blurs", blurs(model.brdf.angles).float(), persistent=False)
-        for r, (region, (first, end)) in enumerate(zip(model.regions, model.receivers.spans, strict=True)):
+        for r, (region, (first, end)) in enumerate(zip(self.regions, model.receivers.spans, strict=True)):
             own = slice(first, end)
-            for name, values in (("position", model.positions), ("frame", model.frames), ("colour", model.colours)):
-                self.register_buffer(f"{name}{r}", region.blocked(values[own]), persistent=False)
-        self._prefiltered = Cache()
-        self._view = relight.compiled(relight.view_blocks) if compiled else relight.view_blocks
+            self.register_buffer(f"weights{r}", region.weights.float(), persistent=False)
+            self.register_buffer(f"position{r}", region.in_line(model.positions[own]), persistent=False)
+            self.register_buffer(f"frame{r}", region.in_line(model.frames[own]), persistent=False)
+            colours = model.colours[own]
+            if bool((colours != 1).any()):
+                self.register_buffer(f"colour{r}", region.in_line(colours), persistent=False)
+        self._prepared = Cache()
+        self._view = relight.compiled(view.view) if compiled else view.view
+
+    @property
+    def regions(self) -> list[ClusteredTransfer]:
+        """Of the model."""
+        return [region for region in self.model.regions if isinstance(region, ClusteredTransfer)]
 
     def incident(self, environment: Environment) -> Lit:
         """Light step."""
-        grid, dtype = self.model.grid, self.to_factors.dtype
-        texels = environment.project(grid).to(self.to_factors).movedim(-1, 0)  # shape: (c, 6, n, n)
-        haared = haar.analyse(texels)
-        fine = haared.flatten(1).T.contiguous()
-        coarse = haared[..., :COARSE, :COARSE].flatten(1).T
-        coarsest = haared[..., :COARSEST, :COARSEST].flatten(1).T
-        angles = self.model.brdf.angles
-        maps = self._prefiltered(environment.map, lambda: lobe_light.prefiltered(environment, angles)) if angles else texels
-        lit = Lit([], [], [], maps.to(dtype), environment.rotation.to(self.to_factors))
-        for region in self.model.regions:
-            e = region.eigenvectors
-            lit.direct.append((region.direct.to(dtype) @ fine[region.columns]).unflatten(1, (e, -1)))
-            reduced = region.lighting.to(dtype) @ coarse
-            shape = (e, len(region.slots), ORDER**2)
-            lit.one.append((region.one.to(dtype) @ reduced).unflatten(1, shape))
-            lit.two.append((region.two.to(dtype) @ coarsest).unflatten(1, (e, len(region.pairs))))
+        angles, dtype = self.model.brdf.angles, self.to_factors.dtype
+        maps: LightMaps = self._prepared(environment.map, lambda: light_maps.light_maps(environment, angles))
+        turn = environment.rotation.to(self.to_factors)
+        texels = light_maps.texels(maps.fine.to(dtype), turn, self.model.grid).movedim(-1, 0)  # shape: (c, 6, n, n)
+        peak = texels.detach().abs().amax().clamp(min=TINY)  # 16 bits hold no sun
+        haared = haar.analyse(texels / peak)
+        fine, coarse, coarsest = (haared[..., :n, :n].flatten(1).T for n in (texels.shape[-1], COARSE, COARSEST))
+        lit = Lit([], [], [], maps.blurred.to(dtype), turn)
+        for region in self.regions:
+            stored, e = region.direct.dtype, region.eigenvectors
+            reduced = region.lighting @ coarse
+            direct = region.direct @ fine[region.columns].to(stored)
+            one, two = region.one @ reduced.to(stored), region.two @ coarsest.to(stored)
+            lit.direct.append(direct.to(dtype).mul(peak).unflatten(1, (e, -1)))
+            lit.one.append(one.to(dtype).mul(peak).unflatten(1, (e, len(region.slots), ORDER**2)))
+            lit.two.append(two.to(dtype).mul(peak).unflatten(1, (e, len(region.pairs))))
         return lit
 
     def exitant(self, lit: Lit, materials: Sequence[Material]) -> Sent:
         """BRDF step."""
-        brdf, basis = self.model.brdf, self.model.basis
-        assert basis is not None
-        h = slots.coefficients(self.model.slots, basis, materials)
-        out = Sent([], [], [], [], lit.maps, lit.turn)
-        for r, (region, material) in enumerate(zip(self.model.regions, materials, strict=True)):
-            tables = None if material.shape is None or not brdf.angles else brdf.lobe_tables(material.shape)
-            weights = region.weights.to(h.dtype)
+        assert self.model.basis is not None
+        h = slots.coefficients(self.model.slots, self.model.basis, materials)
+        out = Sent([], [])
+        for r, (region, material) in enumerate(zip(self.regions, materials, strict=True)):
+            gloss = self._gloss(material, lit)
             incident = lit.direct[r]
-            arriving = weights.new_zeros(len(region.cluster), 3, 0, 1)
+            eigen = []
             if region.slots:
-                last, first = torch.tensor(region.pairs, dtype=torch.int64).reshape(-1, 2).T
+                last, first = torch.tensor(region.pairs, dtype=torch.int64, device=h.device).reshape(-1, 2).T
                 light = relight.bounced(lit.one[r], lit.two[r], h[region.slots], h[last] * h[first])
                 incident = incident + torch.einsum("si,kesc->keic", self.to_factors, light)
-                if tables is not None:
-                    there = torch.einsum("st,kesc->kcte", self.to_harmonics, light)
-                    arriving = relight.expand(there, weights, region.cluster)
-            sent = relight.expand(relight.exitant(matrix(brdf, material), incident), weights, region.cluster)
-            colour = getattr(self, f"colour{r}")  # shape: (b, c, w)
-            out.sent.append(torch.cat((sent[:, :, :1] * colour[:, :, None], sent[:, :, 1:]), 2))
-            out.arriving.append(arriving)
-            out.tables.append(tables)
-            out.specular.append(material.specular.to(h))
+                if gloss is not None:
+                    eigen.append(torch.einsum("st,kesc->kcte", self.to_harmonics, light))
+            eigen.insert(0, relight.exitant(matrix(self.model.brdf, material), incident))
+            sent = relight.expand(torch.cat(eigen, 2), self.get_buffer(f"weights{r}"), region.cluster)
+            if f"colour{r}" in self._buffers:
+                colour = self.get_buffer(f"colour{r}").unflatten(1, (len(sent), -1)).transpose(0, 1)  # shape: (b, c, w)
+                sent = torch.cat((sent[:, :, :1] * colour[:, :, None], sent[:, :, 1:]), 2)
+            out.sent.append(sent)
+            out.gloss.append(gloss)
         return out
 
-    def radiance(self, exitant: Sent, view: Tensor) -> Tensor:
+    def _gloss(self, material: Material, lit: Lit) -> Gloss | None:
+        """The lobes that a material has."""
+        if material.shape is None or not self.model.brdf.angles:
+            return None
+        tables = self.model.brdf.lobe_tables(material.shape)
+        which = torch.nonzero(tables.detach().abs().amax((1, 2)) > DULL)[:, 0]
+        if not len(which):
+            return None
+        rho, maps = tables[which].flatten(1).T.contiguous(), lit.maps[:, which].flatten(1)
+        specular = material.specular.to(rho)
+        return Gloss(which, rho, tables.shape[2], specular, maps, lit.turn, self.blurs[which])
+
+    def radiance(self, exitant: Sent, eye: Tensor) -> Tensor:
         """View step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
+        u_o = self.model.brdf.u_o.flatten(1).T.contiguous()
         rows = []
-        for r, region in enumerate(self.model.regions):
-            frame = getattr(self, f"frame{r}")  # shape: (b, 3, 3, w)
-            if view.ndim == 1:
-                toward = nn.functional.normalize(view[:, None] - getattr(self, f"position{r}"), dim=1)
-            else:
-                first, end = self.model.receivers.spans[r]
-                toward = region.blocked(view[first:end])
-            wo = (frame * toward[:, None]).sum(2)
-            axis = 2 * wo[:, 2:] * frame[:, 2] - toward
-            flat = wo.transpose(0, 1).flatten(1)[None]  # shape: (1, 3, b * w)
-            factors = transfer.lookup(self.model.brdf.u_o, flat)[0].unflatten(1, (-1, wo.shape[2])).transpose(0, 1)
-            outgoing = torch.cat((torch.ones_like(factors[:, :1]), factors), 1)
-            tables = exitant.tables[r]
-            glossy = None
-            if tables is not None:
-                glossy = relight.Glossy(
-                    tables, exitant.specular[r], exitant.maps, exitant.turn, region.cuts, self.blurs
-                )
-            blocks = self._view(outgoing, exitant.sent[r], exitant.arriving[r], wo, axis, glossy)
-            rows.append(blocks.transpose(1, 2).flatten(0, 1)[region.place])
+        for r, (region, (first, end)) in enumerate(zip(self.regions, self.model.receivers.spans, strict=True)):
+            points = Points(self.get_buffer(f"position{r}"), self.get_buffer(f"frame{r}"), region.cuts)
+            toward = eye if eye.ndim == 1 else region.in_line(eye[first:end])
+            seen = self._view(points, toward, u_o, exitant.sent[r], exitant.gloss[r])
+            rows.append(seen.index_select(0, region.place))
         return torch.cat(rows)

@@ -10,13 +10,18 @@ zeros, points innermost.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
+from ptt.saved import Shapes
+
 WIDTH = 64  # points in a block
+LOBES = 4  # bytes in a cell of the cuts
+HARMONICS = 16  # in which indirect light arrives: order 4
+STORAGE = {"float32": torch.float32, "float16": torch.float16, "bfloat16": torch.bfloat16}
 
 
 class Parts(NamedTuple):
@@ -27,7 +32,7 @@ class Parts(NamedTuple):
     columns (k, m) int64, direct (k, e * (1 + i), m): T0 of the eigen-points, at some positions l of the lighting
     lighting (k, n, l'): the cluster's own lighting axis, in coefficients of the coarse one
     one (k, e * q * s, n): T1 on it; two (k, e * pairs, l''): T2 on the coarsest lighting
-    cuts (b * WIDTH, cells, lobes) uint8: fractional visibility of the lobes; cells = 0 where there are none
+    cuts (b * WIDTH, cells) int32: fractional visibility of the lobes, a byte each; cells = 0 where there are none
     """
 
     cluster: Tensor
@@ -73,15 +78,65 @@ class ClusteredTransfer(nn.Module):
         """Of each cluster."""
         return self.weights.shape[1]
 
-    def blocked(self, values: Tensor) -> Tensor:
-        """Values (v, ...) of the points in blocks (b, ..., WIDTH); padding repeats the first point."""
+    def in_line(self, values: Tensor) -> Tensor:
+        """Values (v, ...) of the points as (..., b * WIDTH), block by block; padding repeats the first point."""
         source = torch.zeros(len(self.cluster) * WIDTH, dtype=torch.int64, device=values.device)
         source[self.place] = torch.arange(self.points, device=values.device)
-        return values[source].unflatten(0, (-1, WIDTH)).movedim(1, -1).contiguous()
+        return values[source].movedim(0, -1).contiguous() if self.points else values.movedim(0, -1)
 
     def config(self) -> dict[str, Any]:
-        """What `expected` and the constructor need beside the tensors."""
-        return {"slots": self.slots, "pairs": self.pairs, "sizes": {n: list(b.shape) for n, b in self.named_buffers()}}
+        """What `expected` and `restore` need beside the tensors."""
+        k, n, coarse = self.lighting.shape
+        return {
+            "blocks": len(self.cluster),
+            "clusters": k,
+            "eigenvectors": self.eigenvectors,
+            "columns": self.columns.shape[1],
+            "lighting": [n, coarse, self.two.shape[2]],
+            "cuts": self.cuts.shape[1],
+            "slots": self.slots,
+            "pairs": self.pairs,
+            "storage": str(self.direct.dtype).removeprefix("torch."),
+        }
+
+    @staticmethod
+    def expected(config: Mapping[str, Any], points: int, factors: int) -> Shapes:
+        """Types and shapes of the tensors that belong to a config."""
+        b, k, e = config["blocks"], config["clusters"], config["eigenvectors"]
+        n, coarse, coarsest = config["lighting"]
+        m, q, pairs = config["columns"], len(config["slots"]), len(config["pairs"])
+        stored = STORAGE[config["storage"]]
+        return {
+            "cluster": (torch.int64, (b,)),
+            "place": (torch.int64, (points,)),
+            "weights": (stored, (b, e, WIDTH)),
+            "columns": (torch.int64, (k, m)),
+            "direct": (stored, (k, e * factors, m)),
+            "lighting": (torch.float32, (k, n, coarse)),
+            "one": (stored, (k, e * q * HARMONICS, n)),
+            "two": (stored, (k, e * pairs, coarsest)),
+            "cuts": (torch.int32, (b * WIDTH, config["cuts"])),
+        }
+
+    @classmethod
+    def restore(
+        cls, config: Mapping[str, Any], tensors: Mapping[str, Tensor], cells: int, slots: int
+    ) -> ClusteredTransfer:
+        """The inverse of `config` and of the buffers, for a lighting of so many cells and so many slots."""
+        limits = {
+            "cluster": config["clusters"],
+            "place": len(tensors["cluster"]) * WIDTH,
+            "columns": cells,
+            "slots": slots,
+            "pairs": slots,
+        }
+        numbers = {name: torch.tensor(config[name]) for name in ("slots", "pairs")}
+        for name, limit in limits.items():
+            index = {**tensors, **numbers}[name]
+            if index.numel() and not 0 <= int(index.min()) <= int(index.max()) < limit:
+                got = f"{int(index.min())}..{int(index.max())}"
+                raise ValueError(f"holds wrong indices: {name} must be in 0..{limit - 1}, got {got}")
+        return cls(Parts(**{name: tensors[name] for name in Parts._fields}), config["slots"], config["pairs"])
 
 
 def in_blocks(labels: Tensor) -> tuple[Tensor, Tensor]:

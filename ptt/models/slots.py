@@ -59,4 +59,4 @@ def coefficients(slots: Sequence[Slot], basis: BRDFBasis, materials: Sequence[Ma
             rows.append(material.specular.to(basis.table))
         else:
             rows.append(basis.table.new_zeros(3) if table is None else table[slot.function])
-    return torch.stack(rows)
+    return torch.stack(rows) if rows else basis.table.new_zeros(0, 3)

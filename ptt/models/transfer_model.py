@@ -82,6 +82,9 @@ class TransferModel(nn.Module):
     truncation_error: relative L2 error of T0 that leaving out the other coefficients makes
     """
 
+    kept: Tensor
+    columns: Tensor
+    values: Tensor
     positions: Tensor
     frames: Tensor
     colours: Tensor
@@ -118,14 +121,16 @@ class TransferModel(nn.Module):
         return sum(buffer.numel() * buffer.element_size() for buffer in self.buffers())
 
     def transfer(self) -> Tensor:
-        """T0 as a sparse CSR matrix (i * v, l), rows ordered (i, v)."""
+        """T0 as a sparse CSR matrix (i * v, l), rows ordered (i, v), of a model without clusters."""
         return SparseTransfer(self.kept, self.columns, self.values).to_csr(self.grid.cells)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write a safetensors file with the config in its header."""
         config = {
             "resolution": self.resolution,
-            "coefficients": len(self.values),
+            "coefficients": None if len(self.regions) else len(self.values),
+            "clustered": [region.config() for region in self.regions],
+            "functions": self.basis.mixture.shape[1] if self.basis else None,
             "truncation_error": self.truncation_error,
             "ranks": list(self.brdf.core.shape),
             "disk": self.brdf.u_i.shape[1],
@@ -145,12 +150,24 @@ class TransferModel(nn.Module):
         config, tensors = saved.load(path, KIND)
         with saved.describing(path):
             saved.check(tensors, _expected(config))
+            space, resolution = BRDFSpace.from_config(config["space"]), config["resolution"]
+            brdf, receivers = TensorBRDF(space, **_under("brdf.", tensors)), Receivers.restore(config, tensors)
+            error = config["truncation_error"]
+            if config["clustered"]:
+                basis = BRDFBasis(space, **_under("basis.", tensors))
+                slots = len(slots_of(receivers, config["functions"]))
+                regions = [
+                    ClusteredTransfer.restore(part, _under(f"regions.{r}.", tensors), Cube(resolution).cells, slots)
+                    for r, part in enumerate(config["clustered"])
+                ]
+                return cls(receivers, brdf, basis, resolution, None, regions, error)
             t0 = SparseTransfer(*(tensors[name] for name in SparseTransfer._fields))
-            _check_rows(t0, Cube(config["resolution"]).cells)
-            parts = {name.removeprefix("brdf."): t for name, t in tensors.items() if name.startswith("brdf.")}
-            brdf = TensorBRDF(BRDFSpace.from_config(config["space"]), **parts)
-            receivers = Receivers.restore(config, tensors)
-            return cls(receivers, brdf, config["resolution"], t0, config["truncation_error"])
+            _check_rows(t0, Cube(resolution).cells)
+            return cls(receivers, brdf, None, resolution, t0, [], error)
+
+
+def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)}
 
 
 def _check_rows(t0: SparseTransfer, length: int) -> None:
@@ -165,12 +182,8 @@ def _check_rows(t0: SparseTransfer, length: int) -> None:
 
 def _expected(config: dict[str, Any]) -> saved.Shapes:
     h, o, i = config["ranks"]
-    n, count, samples = config["disk"], config["coefficients"], len(config["space"]["samples"])
-    v = sum(region["points"] for region in config["regions"])
-    return {
-        "kept": (torch.int32, (1 + i, v)),
-        "columns": (_column_type(Cube(config["resolution"]).cells), (count,)),
-        "values": (torch.float32, (count,)),
+    n, samples = config["disk"], len(config["space"]["samples"])
+    expected = {
         "brdf.core": (torch.float32, (h, o, i)),
         "brdf.u_h": (torch.float32, (samples, h)),
         "brdf.u_o": (torch.float32, (o, n, n)),
@@ -179,3 +192,20 @@ def _expected(config: dict[str, Any]) -> saved.Shapes:
         "brdf.error": (torch.float32, (samples,)),
         **Receivers.expected(config),
     }
+    if not config["clustered"]:
+        v, count = sum(region["points"] for region in config["regions"]), config["coefficients"]
+        return expected | {
+            "kept": (torch.int32, (1 + i, v)),
+            "columns": (_column_type(Cube(config["resolution"]).cells), (count,)),
+            "values": (torch.float32, (count,)),
+        }
+    p = config["functions"]
+    expected |= {
+        "basis.mixture": (torch.float32, (samples, p)),
+        "basis.table": (torch.float32, (samples, p)),
+        "basis.error": (torch.float32, (samples,)),
+    }
+    for r, (part, region) in enumerate(zip(config["clustered"], config["regions"], strict=True)):
+        shapes = ClusteredTransfer.expected(part, region["points"], 1 + i)
+        expected |= {f"regions.{r}.{name}": shape for name, shape in shapes.items()}
+    return expected

@@ -40,7 +40,7 @@ def cluster(data: Tensor, count: int, eigenvectors: int, sweeps: int = SWEEPS) -
             break
         before = after
         labels = _reseeded(labels, errors, len(bases))
-    return labels.unique(return_inverse=True)[1]
+    return _numbered(labels)
 
 
 def basis(data: Tensor, eigenvectors: int) -> Tensor:
@@ -58,9 +58,9 @@ def basis(data: Tensor, eigenvectors: int) -> Tensor:
         rows = vectors.T.flip(0)[:eigenvectors]
     size = size.flip(0)[:eigenvectors].clamp(min=0)
     real = size > 1e-13 * size[:1]
-    lengths = rows.norm(dim=1, keepdim=True).clamp(min=1e-300)
+    rows = torch.linalg.qr(rows.T)[0].T  # the Gram matrix leaves small ones askew
     out = data.new_zeros(eigenvectors, r)
-    out[: len(rows)] = (rows / lengths * real[:, None]).to(data)
+    out[: len(rows)] = (rows * real[:, None]).to(data)
     return out
 
 
@@ -97,4 +97,10 @@ def _nearest_seeds(data: Tensor, count: int, rounds: int = 8) -> Tensor:
         sums = torch.zeros_like(centres).index_add_(0, labels, data)
         counts = torch.bincount(labels, minlength=len(centres))
         centres = torch.where(counts[:, None] > 0, sums / counts.clamp(min=1)[:, None], centres)
-    return labels.unique(return_inverse=True)[1]
+    return _numbered(labels)
+
+
+def _numbered(labels: Tensor) -> Tensor:
+    """The same clusters without gaps between their numbers."""
+    numbers: Tensor = labels.unique(return_inverse=True)[1]
+    return numbers

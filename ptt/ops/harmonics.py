@@ -10,7 +10,6 @@ m < 0 with sin(|m| phi), without the Condon-Shortley sign: numbers 1, 2, 3 are p
 from __future__ import annotations
 
 import math
-from functools import cache
 
 import numpy as np
 import torch
@@ -49,21 +48,22 @@ def evaluate(directions: Tensor, order: int) -> Tensor:
     return torch.stack(out, -1)
 
 
-@cache
 def hemispherical(order: int) -> Tensor:
     """A (s, t), lower triangular, float64: Z_s = sum over t of A[s, t] Y_t is orthonormal on the hemisphere z > 0.
 
     In the measure cos(theta) dw, where it spans what the harmonics do: the best approximation there of light that comes
     from above the horizon alone, which the harmonics themselves would smear below. Z_0 is constant, 1 / sqrt(pi).
     """
-    z, weights = np.polynomial.legendre.leggauss(order + 1)
-    z, weights = torch.from_numpy(z / 2 + 0.5), torch.from_numpy(weights * math.pi)  # of z in 0..1, times 2 pi
+    nodes, shares = np.polynomial.legendre.leggauss(order + 1)
+    z, weights = torch.from_numpy(nodes / 2 + 0.5), torch.from_numpy(shares * math.pi)  # of z in 0..1, times 2 pi
     turns = torch.arange(2 * order, dtype=torch.float64) * (math.pi / order)
     sine = (1 - z * z).sqrt()[:, None]
     around = torch.stack((sine * turns.cos(), sine * turns.sin(), z[:, None].expand(-1, 2 * order)), -1)
     y = evaluate(around, order)
     gram = torch.einsum("zps,zpt,z->st", y, y, weights * z / (2 * order))
-    return torch.linalg.solve_triangular(torch.linalg.cholesky(gram), torch.eye(order**2).double(), upper=False)
+    identity = torch.eye(order**2, dtype=torch.float64)
+    inverse: Tensor = torch.linalg.solve_triangular(torch.linalg.cholesky(gram), identity, upper=False)
+    return inverse
 
 
 def degrees(order: int) -> Tensor:
@@ -75,5 +75,5 @@ def zonal(angle: Tensor, order: int) -> Tensor:
     """Legendre polynomials P_l(cos angle) (order, ...) of degrees 0 to order - 1."""
     axis = torch.stack((angle.sin(), torch.zeros_like(angle), angle.cos()), -1)
     middle = torch.arange(order) * (torch.arange(order) + 1)  # Y_l0
-    norms = (4 * math.pi / (2 * torch.arange(order) + 1)).sqrt()
+    norms = (4 * math.pi / (2 * torch.arange(order, dtype=torch.float64) + 1)).sqrt()
     return (evaluate(axis, order)[..., middle] * norms.to(angle)).movedim(-1, 0)

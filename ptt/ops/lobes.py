@@ -137,13 +137,23 @@ def tilts_and_turns(isotropic: bool) -> Tensor:
 
 def lookup(table: Tensor, wo: Tensor) -> Tensor:
     """Bilinear values (k, ...) of a table (k, p, t) over `tilts_and_turns`, at directions wo (..., 3)."""
-    p, t = table.shape[1:]
-    tilt = (torch.atan2(wo[..., :2].norm(dim=-1), wo[..., 2]) * (2 * t / math.pi) - 0.5).clamp(0, t - 1)
-    turn = torch.atan2(wo[..., 1], wo[..., 0]) * (p / (2 * math.pi)) % p
-    i, j = tilt.floor().clamp(max=max(t - 2, 0)).long(), turn.floor().long() % p
-    a, b = tilt - i, turn - turn.floor()
-    rows = [table[:, k % p, i] * (1 - a) + table[:, k % p, (i + 1).clamp(max=t - 1)] * a for k in (j, j + 1)]
-    return rows[0] * (1 - b) + rows[1] * b
+    index, weights = corners(wo, *table.shape[1:])
+    return (table.flatten(1)[:, index] * weights).sum(-1)
+
+
+def corners(wo: Tensor, turns: int, tilts: int) -> tuple[Tensor, Tensor]:
+    """Cells (..., j) int64, of a flat table over `tilts_and_turns`, and bilinear weights (..., j) at wo (..., 3)."""
+    tilt = (torch.atan2(wo[..., :2].square().sum(-1).sqrt(), wo[..., 2]) * (2 * tilts / math.pi) - 0.5).clamp(0, tilts - 1)
+    i = tilt.floor().clamp(max=max(tilts - 2, 0)).long()
+    a = tilt - i
+    index, weights = torch.stack((i, (i + 1).clamp(max=tilts - 1)), -1), torch.stack((1 - a, a), -1)
+    if turns == 1:
+        return index, weights
+    turn = torch.atan2(wo[..., 1], wo[..., 0]) * (turns / (2 * math.pi)) % turns
+    j, b = turn.floor(), (turn - turn.floor())[..., None]
+    row = tilts * (j.long() % turns)[..., None]
+    after = tilts * ((j.long() + 1) % turns)[..., None]
+    return torch.cat((row + index, after + index), -1), torch.cat((weights * (1 - b), weights * b), -1)
 
 
 def gaussian(angle: Tensor, lobe: float) -> Tensor:

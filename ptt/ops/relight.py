@@ -4,7 +4,7 @@
             U1[e, q, s, c] = sum over l of  L[l, c] T1[e, q, s, l]           U2[e, qq', c] alike
     BRDF    I[e, s, c]     = sum over q of  H[q, c] U1[e, q, s, c]  +  [s = 0] sum of  H[q, c] H[q', c] U2[e, qq', c]
             Q[c, o, v]     = sum over i of  M[c, o, i] (U0 + sum over s of C[s, i] I[s, c])[i, c]
-    view    B[v, c]        = sum over o of  V[o, v] Q[c, o, v]               and the lobes
+    view    B[v, c]        = sum over o of  V[o, v] Q[c, o, v]               and the lobes (`ops.view`)
 
 of every eigen-point e of every cluster k; points v are combinations of them. M is the BRDF tensor's core contracted
 with a material's coordinates and weights, V its outgoing factors in each point's view direction; factor 0 of i and of o
@@ -16,12 +16,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import TypeVar
 
 import torch
 from torch import Tensor
 
-from ptt.ops import harmonics, lobes, octahedral
+
+T = TypeVar("T")
 
 
 def light_step(transfer: Tensor, lighting: Tensor, factors: int) -> Tensor:
@@ -52,25 +53,7 @@ def exitant(matrix: Tensor, incident: Tensor) -> Tensor:
 
 def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Tensor:
     """Values (b, ..., w) of points from those of eigen-points (k, ..., e), weights (b, e, w) and cluster (b,)."""
-    rows = eigen.flatten(1, -2)[cluster]
-    return (rows @ weights).unflatten(1, eigen.shape[1:-1])
-
-
-class Glossy(NamedTuple):
-    """What the lobes of one region need for a view.
-
-    tables (k, p, t): reflectances times specular weight (see `lobes.lookup`), of c colours: (c, k, p, t)
-    maps (n * n, k, c): prefiltered lighting on an octahedral map; turn (3, 3): from world to the map
-    cuts (v, cells, k) uint8: fractional visibility
-    blurs (k, s): what each lobe leaves of the harmonics
-    """
-
-    tables: Tensor
-    specular: Tensor
-    maps: Tensor
-    turn: Tensor
-    cuts: Tensor
-    blurs: Tensor
+    return (eigen.flatten(1, -2)[cluster] @ weights).unflatten(1, eigen.shape[1:-1])
 
 
 def view_step(outgoing: Tensor, sent: Tensor) -> Tensor:
@@ -78,40 +61,7 @@ def view_step(outgoing: Tensor, sent: Tensor) -> Tensor:
     return (outgoing * sent).sum(1).T.contiguous()
 
 
-def view_blocks(
-    outgoing: Tensor, sent: Tensor, arriving: Tensor, wo: Tensor, axis: Tensor, glossy: Glossy | None
-) -> Tensor:
-    """B (b, c, w) of points in blocks.
-
-    outgoing (b, o, w), sent (b, c, o, w): V and Q
-    arriving (b, c, s, w): indirect light in harmonics (of the sphere, local); 0 of them where no lobes are lit by it
-    wo (b, 3, w): local, axis (b, 3, w): mirror direction in the world
-    """
-    out = (outgoing[:, None] * sent).sum(2)
-    if glossy is None:
-        return out
-    mirror = lobes.mirror(wo.movedim(1, -1))  # shape: (b, w, 3)
-    rho = lobes.lookup(glossy.tables, mirror * mirror.new_tensor([-1.0, -1.0, 1.0]))  # shape: (k, b, w)
-    index, weights = octahedral.corners(
-        octahedral.octahedral(axis.movedim(1, -1) @ glossy.turn), _side(glossy.maps), wrap=True
-    )
-    light = torch.einsum("bwjkc,bwj->kcbw", glossy.maps[index], weights)
-    cell, share = octahedral.corners(octahedral.hemi_octahedral(mirror), _side(glossy.cuts[0]), wrap=False)
-    rows = torch.arange(mirror.shape[0] * mirror.shape[1], device=cell.device).reshape(mirror.shape[:2])
-    through = torch.einsum("bwjk,bwj->kbw", glossy.cuts[rows[..., None], cell].to(light), share / 255)
-    lit = torch.einsum("kbw,kbw,kcbw->bcw", rho, through, light)
-    if arriving.shape[2]:
-        y = harmonics.evaluate(mirror, 4)
-        response = torch.einsum("kbw,ks,bws->bsw", rho, glossy.blurs, y)
-        lit = lit + (response[:, None] * arriving).sum(2)
-    return out + lit * glossy.specular[:, None]
-
-
-def _side(table: Tensor) -> int:
-    return round(len(table) ** 0.5)
-
-
-def compiled(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+def compiled(function: Callable[..., T]) -> Callable[..., T]:
     """`torch.compile(function)`, or the function itself, with a warning, where there is no C++ compiler."""
     from torch._inductor.cpp_builder import get_cpp_compiler
 

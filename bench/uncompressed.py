@@ -1,0 +1,92 @@
+"""Radiance from raw transfer, nothing truncated or clustered: light and materials are contracted as T1 and T2 arise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+import ptt
+from ptt import bounces
+from ptt.models import light_maps, slots
+from ptt.ops import haar, lobes, transfer
+from ptt.ops.octahedral import HemiOctahedral
+from ptt.ops.sphere import Cube
+
+
+@dataclass(eq=False)
+class Uncompressed:
+    """What does not depend on light and materials; t0 (v, 1 + i, l): direct transfer, the coarse coefficients."""
+
+    raw: ptt.RawTransfer
+    brdf: ptt.TensorBRDF
+    basis: ptt.BRDFBasis
+    t0: Tensor
+    cuts: Tensor
+
+    def radiance(
+        self, rows: Tensor, light: ptt.Environment, materials: Mapping[str, ptt.Material], eye: Tensor
+    ) -> list[Tensor]:
+        """Direct light, first and second bounce (v, 3) each, of the receivers of some rows (v,)."""
+        own, grid = self.raw.receivers, Cube(self.raw.resolution)
+        texels = light.project(grid)
+        lighting = haar.analyse(texels.movedim(-1, 0))[..., : bounces.COARSE, : bounces.COARSE].flatten(1).T
+        paths = bounces.Bounces(self.raw, self.brdf, self.basis, self.t0, self.cuts)
+        paths.reduced(lighting.contiguous())  # l is colour from here on
+        h = slots.coefficients(paths.slots, self.basis, [materials[name] for name in own.names])
+        everyone = torch.arange(len(own))
+        one = torch.cat([torch.einsum("bqsc,qc->bsc", paths.one(some), h) for some in everyone.split(32)])
+        again = torch.cat([torch.einsum("bqc,qc->bc", paths.two(some, one[:, :, None])[:, :, 0], h) for some in rows.split(32)])
+        two = torch.zeros(len(rows), *one.shape[1:])
+        two[:, 0] = again
+        wo = torch.einsum("vij,vj->vi", own.frames[rows], torch.nn.functional.normalize(eye - own.positions[rows], dim=1))
+        to_factors = bounces.responses(self.brdf)
+        filtered = paths.filtered(lobes.mirror(wo))
+        shaded = [self._shade(rows, wo, materials, self._direct(rows, grid, texels.reshape(-1, 3)), self._mirrored(rows, wo, light))]
+        for arriving in (one[rows], two):
+            factors = torch.einsum("si,bsc->bic", to_factors, arriving)
+            shaded.append(self._shade(rows, wo, materials, factors, torch.einsum("bks,bsc->bkc", filtered, arriving)))
+        return shaded
+
+    def _direct(self, rows: Tensor, grid: Cube, texels: Tensor) -> Tensor:
+        directions, solid = grid.directions().reshape(-1, 3).float(), grid.solid_angles().flatten().float()
+        parts = []
+        for some in rows.split(64):
+            visible = transfer.unpack(self.raw.visible[some], grid.cells)
+            frames = self.raw.receivers.frames[some]
+            parts.append(transfer.direct_transfer(visible, frames, directions, solid, self.brdf.u_i) @ texels)
+        return torch.cat(parts)
+
+    def _mirrored(self, rows: Tensor, wo: Tensor, light: ptt.Environment) -> Tensor:
+        """Light (v, k, c) about the mirror direction times its fractional visibility."""
+        if not self.brdf.angles:
+            return torch.zeros(len(rows), 0, 3)
+        axis = lobes.mirror(wo)
+        world = (axis[:, None] @ self.raw.receivers.frames[rows])[:, 0]
+        maps = light_maps.light_maps(light, self.brdf.angles)
+        index, weights = light_maps.corners(
+            light_maps.octahedral(world @ light.rotation.float()), light_maps.SIDE, wrap=True
+        )
+        seen = (maps.blurred[index] * weights[..., None, None]).sum(1)
+        through = self.cuts[rows, HemiOctahedral(bounces.CUTS).cell(axis)].float() / 255
+        return seen * through[..., None]
+
+    def _shade(
+        self, rows: Tensor, wo: Tensor, materials: Mapping[str, ptt.Material], incident: Tensor, mirrored: Tensor
+    ) -> Tensor:
+        own, out = self.raw.receivers, torch.zeros(len(rows), 3)
+        for name, (first, end) in zip(own.names, own.spans, strict=True):
+            at, material = (rows >= first) & (rows < end), materials[name]
+            lit = material.diffuse / math.pi * own.colours[rows[at]] * incident[at, 0]
+            if material.shape is not None:
+                matrix, outgoing = self.brdf.matrix(material.shape), self.brdf.outgoing(wo[at])
+                specular = torch.einsum("ov,oi,vic->vc", outgoing, matrix, incident[at, 1:])
+                if self.brdf.angles:
+                    rho = lobes.lookup(self.brdf.lobe_tables(material.shape), wo[at])
+                    specular = specular + torch.einsum("kv,vkc->vc", rho, mirrored[at])
+                lit = lit + material.specular * specular
+            out[at] = lit
+        return out
