@@ -8,7 +8,8 @@ ptt.render(scene, scene.camera, radiance).save("watch.png")
 """
 
 from ptt import reference
-from ptt.clustering import Clusters
+from ptt.assembly import assemble
+from ptt.clustering import Clusters, cluster
 from ptt.compress import compress
 from ptt.environment import Environment
 from ptt.materials import Material, blinn_phong, cook_torrance, ggx, lambert, ward
@@ -47,7 +48,9 @@ __all__ = [
     "TransferModel",
     "TransferRelighter",
     "Ward",
+    "assemble",
     "blinn_phong",
+    "cluster",
     "compress",
     "cook_torrance",
     "fitted",

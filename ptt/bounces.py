@@ -27,7 +27,8 @@ from ptt.ops.sphere import Cube, Disk
 from ptt.precompute import RawTransfer
 
 ORDER = 4  # of the harmonics in which indirect light arrives
-COARSE = 8  # cells along an edge of the cube map that lights indirect light
+COARSE = 8  # cells along an edge of the cube map that lights the first bounce
+COARSEST = 2  # and of the one that lights the second
 MIRRORS = Cube(16)  # cells to which mirror directions are rounded
 SMOOTH = Cube(32)  # cells on which lobes are integrated
 CUTS = 32  # cells along an edge of the hemispherical map of fractional visibility
@@ -218,4 +219,3 @@ def _mirrored(angles: Sequence[float], resolution: int) -> Tensor:
         coarse = haar.analyse(weight.unflatten(2, SMOOTH.shape))[..., :COARSE, :COARSE] * (SMOOTH.n / resolution)
         rows.append(coarse.flatten(2))
     return torch.cat(rows)
-

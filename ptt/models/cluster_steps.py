@@ -8,8 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from ptt.bounces import COARSE, ORDER, blurs, responses
-from ptt.clustering import COARSEST
+from ptt.bounces import COARSE, COARSEST, ORDER, blurs, responses
 from ptt.environment import Environment
 from ptt.materials import Material
 from ptt.models import light_maps, slots
@@ -56,7 +55,7 @@ class ClusterSteps(nn.Module):
         self.register_buffer("to_factors", responses(model.brdf), persistent=False)
         self.register_buffer("to_harmonics", harmonics.hemispherical(ORDER).float(), persistent=False)
         self.register_buffer("blurs", blurs(model.brdf.angles).float(), persistent=False)
-        for r, (region, (first, end)) in enumerate(zip(self.regions, model.receivers.spans, strict=True)):
+        for r, (region, (first, end)) in enumerate(zip(model.clustered, model.receivers.spans, strict=True)):
             own = slice(first, end)
             self.register_buffer(f"weights{r}", region.weights.float(), persistent=False)
             self.register_buffer(f"position{r}", region.in_line(model.positions[own]), persistent=False)
@@ -66,55 +65,52 @@ class ClusterSteps(nn.Module):
                 self.register_buffer(f"colour{r}", region.in_line(colours), persistent=False)
         self._prepared = Cache()
         self._view = relight.compiled(view.view) if compiled else view.view
-
-    @property
-    def regions(self) -> list[ClusteredTransfer]:
-        """Of the model."""
-        return [region for region in self.model.regions if isinstance(region, ClusteredTransfer)]
+        self._texels = relight.compiled(light_maps.texels) if compiled else light_maps.texels
 
     def incident(self, environment: Environment) -> Lit:
         """Light step."""
         angles, dtype = self.model.brdf.angles, self.to_factors.dtype
         maps: LightMaps = self._prepared(environment.map, lambda: light_maps.light_maps(environment, angles))
         turn = environment.rotation.to(self.to_factors)
-        texels = light_maps.texels(maps.fine.to(dtype), turn, self.model.grid).movedim(-1, 0)  # shape: (c, 6, n, n)
+        texels = self._texels(maps.fine.to(dtype), turn, self.model.grid).movedim(-1, 0)  # shape: (c, 6, n, n)
         peak = texels.detach().abs().amax().clamp(min=TINY)  # 16 bits hold no sun
         haared = haar.analyse(texels / peak)
-        fine, coarse, coarsest = (haared[..., :n, :n].flatten(1).T for n in (texels.shape[-1], COARSE, COARSEST))
+        fine, coarse, coarsest = (haared[..., :n, :n].flatten(1) for n in (texels.shape[-1], COARSE, COARSEST))
         lit = Lit([], [], [], maps.blurred.to(dtype), turn)
-        for region in self.regions:
-            stored, e = region.direct.dtype, region.eigenvectors
-            reduced = region.lighting @ coarse
-            direct = region.direct @ fine[region.columns].to(stored)
-            one, two = region.one @ reduced.to(stored), region.two @ coarsest.to(stored)
-            lit.direct.append(direct.to(dtype).mul(peak).unflatten(1, (e, -1)))
-            lit.one.append(one.to(dtype).mul(peak).unflatten(1, (e, len(region.slots), ORDER**2)))
-            lit.two.append(two.to(dtype).mul(peak).unflatten(1, (e, len(region.pairs))))
+        for region in self.model.clustered:
+            e, q = region.eigenvectors, len(region.slots)
+            reduced = coarse @ region.lighting.transpose(1, 2)  # shape: (k, c, n)
+            direct = relight.light_eigen(region.direct, fine[:, region.columns].transpose(0, 1)).mul(peak)
+            lit.direct.append(direct.unflatten(2, (e, -1)))
+            lit.one.append(relight.light_eigen(region.one, reduced).mul(peak).unflatten(2, (q, e, ORDER**2)))
+            lit.two.append(relight.light_eigen(region.two, coarsest).mul(peak).unflatten(2, (len(region.pairs), e)))
         return lit
 
     def exitant(self, lit: Lit, materials: Sequence[Material]) -> Sent:
         """BRDF step."""
         assert self.model.basis is not None
-        h = slots.coefficients(self.model.slots, self.model.basis, materials)
+        h = slots.coefficients(self.model.slots, self.model.basis, materials).T
         out = Sent([], [])
-        for r, (region, material) in enumerate(zip(self.regions, materials, strict=True)):
-            gloss = self._gloss(material, lit)
-            incident = lit.direct[r]
-            eigen = []
+        for r, (region, material) in enumerate(zip(self.model.clustered, materials, strict=True)):
+            gloss, incident, light = self._gloss(material, lit), lit.direct[r], None
             if region.slots:
-                last, first = torch.tensor(region.pairs, dtype=torch.int64, device=h.device).reshape(-1, 2).T
-                light = relight.bounced(lit.one[r], lit.two[r], h[region.slots], h[last] * h[first])
-                incident = incident + torch.einsum("si,kesc->keic", self.to_factors, light)
-                if gloss is not None:
-                    eigen.append(torch.einsum("st,kesc->kcte", self.to_harmonics, light))
-            eigen.insert(0, relight.exitant(matrix(self.model.brdf, material), incident))
-            sent = relight.expand(torch.cat(eigen, 2), self.get_buffer(f"weights{r}"), region.cluster)
+                light = relight.bounced(lit.one[r], lit.two[r], h[:, region.slots], self._pairs(region, h))
+                incident = incident + light @ self.to_factors
+            eigen = relight.exitant(matrix(self.model.brdf, material), incident)
+            if light is not None and gloss is not None:
+                eigen = torch.cat((eigen, light @ self.to_harmonics), 3)
+            sent = relight.expand(eigen, self.get_buffer(f"weights{r}"), region.cluster)
             if f"colour{r}" in self._buffers:
                 colour = self.get_buffer(f"colour{r}").unflatten(1, (len(sent), -1)).transpose(0, 1)  # shape: (b, c, w)
                 sent = torch.cat((sent[:, :, :1] * colour[:, :, None], sent[:, :, 1:]), 2)
             out.sent.append(sent)
             out.gloss.append(gloss)
         return out
+
+    def _pairs(self, region: ClusteredTransfer, h: Tensor) -> Tensor:
+        """H of both slots of each pair (c, pairs)."""
+        last, first = torch.tensor(region.pairs, dtype=torch.int64, device=h.device).reshape(-1, 2).T
+        return h[:, last] * h[:, first]
 
     def _gloss(self, material: Material, lit: Lit) -> Gloss | None:
         """The lobes that a material has."""
@@ -132,7 +128,7 @@ class ClusterSteps(nn.Module):
         """View step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
         u_o = self.model.brdf.u_o.flatten(1).T.contiguous()
         rows = []
-        for r, (region, (first, end)) in enumerate(zip(self.regions, self.model.receivers.spans, strict=True)):
+        for r, (region, (first, end)) in enumerate(zip(self.model.clustered, self.model.receivers.spans, strict=True)):
             points = Points(self.get_buffer(f"position{r}"), self.get_buffer(f"frame{r}"), region.cuts)
             toward = eye if eye.ndim == 1 else region.in_line(eye[first:end])
             seen = self._view(points, toward, u_o, exitant.sent[r], exitant.gloss[r])

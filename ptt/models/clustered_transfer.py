@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from ptt.saved import Shapes
 
-WIDTH = 64  # points in a block
+WIDTH = 128  # points in a block
 LOBES = 4  # bytes in a cell of the cuts
 HARMONICS = 16  # in which indirect light arrives: order 4
 STORAGE = {"float32": torch.float32, "float16": torch.float16, "bfloat16": torch.bfloat16}
@@ -29,9 +29,9 @@ class Parts(NamedTuple):
 
     cluster (b,) int64, place (v,) int64: of each block; where each point lies in the blocks (block * WIDTH + lane)
     weights (b, e, WIDTH)
-    columns (k, m) int64, direct (k, e * (1 + i), m): T0 of the eigen-points, at some positions l of the lighting
+    columns (k, m) int64, direct (k, m, e * (1 + i)): T0 of the eigen-points, at some positions l of the lighting
     lighting (k, n, l'): the cluster's own lighting axis, in coefficients of the coarse one
-    one (k, e * q * s, n): T1 on it; two (k, e * pairs, l''): T2 on the coarsest lighting
+    one (k, n, q * e * s): T1 on it; two (k, l'', pairs * e): T2 on the coarsest lighting
     cuts (b * WIDTH, cells) int32: fractional visibility of the lobes, a byte each; cells = 0 where there are none
     """
 
@@ -92,7 +92,7 @@ class ClusteredTransfer(nn.Module):
             "clusters": k,
             "eigenvectors": self.eigenvectors,
             "columns": self.columns.shape[1],
-            "lighting": [n, coarse, self.two.shape[2]],
+            "lighting": [n, coarse, self.two.shape[1]],
             "cuts": self.cuts.shape[1],
             "slots": self.slots,
             "pairs": self.pairs,
@@ -109,12 +109,12 @@ class ClusteredTransfer(nn.Module):
         return {
             "cluster": (torch.int64, (b,)),
             "place": (torch.int64, (points,)),
-            "weights": (stored, (b, e, WIDTH)),
+            "weights": (torch.float32, (b, e, WIDTH)),
             "columns": (torch.int64, (k, m)),
-            "direct": (stored, (k, e * factors, m)),
+            "direct": (stored, (k, m, e * factors)),
             "lighting": (torch.float32, (k, n, coarse)),
-            "one": (stored, (k, e * q * HARMONICS, n)),
-            "two": (stored, (k, e * pairs, coarsest)),
+            "one": (stored, (k, n, q * e * HARMONICS)),
+            "two": (stored, (k, coarsest, pairs * e)),
             "cuts": (torch.int32, (b * WIDTH, config["cuts"])),
         }
 

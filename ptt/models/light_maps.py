@@ -1,4 +1,4 @@
-"""A map made ready once, so that turning it costs little: fine, and blurred by each lobe (Sun et al. 2007, section 4.1).
+"""A map made ready once, so that turning it costs little: fine, and blurred by each lobe (Sun 2007, section 4.1).
 
 All in the map's own frame, on octahedral maps: a turn of the light turns the directions in which they are read.
 """

@@ -116,6 +116,11 @@ class TransferModel(nn.Module):
         return slots_of(self.receivers, self.basis.mixture.shape[1]) if self.basis else []
 
     @property
+    def clustered(self) -> list[ClusteredTransfer]:
+        """`regions`, by their type."""
+        return [region for region in self.regions if isinstance(region, ClusteredTransfer)]
+
+    @property
     def bytes(self) -> int:
         """Size of all buffers."""
         return sum(buffer.numel() * buffer.element_size() for buffer in self.buffers())
@@ -129,7 +134,7 @@ class TransferModel(nn.Module):
         config = {
             "resolution": self.resolution,
             "coefficients": None if len(self.regions) else len(self.values),
-            "clustered": [region.config() for region in self.regions],
+            "clustered": [region.config() for region in self.clustered],
             "functions": self.basis.mixture.shape[1] if self.basis else None,
             "truncation_error": self.truncation_error,
             "ranks": list(self.brdf.core.shape),

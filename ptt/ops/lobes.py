@@ -143,7 +143,9 @@ def lookup(table: Tensor, wo: Tensor) -> Tensor:
 
 def corners(wo: Tensor, turns: int, tilts: int) -> tuple[Tensor, Tensor]:
     """Cells (..., j) int64, of a flat table over `tilts_and_turns`, and bilinear weights (..., j) at wo (..., 3)."""
-    tilt = (torch.atan2(wo[..., :2].square().sum(-1).sqrt(), wo[..., 2]) * (2 * tilts / math.pi) - 0.5).clamp(0, tilts - 1)
+    tilt = (torch.atan2(wo[..., :2].square().sum(-1).sqrt(), wo[..., 2]) * (2 * tilts / math.pi) - 0.5).clamp(
+        0, tilts - 1
+    )
     i = tilt.floor().clamp(max=max(tilts - 2, 0)).long()
     a = tilt - i
     index, weights = torch.stack((i, (i + 1).clamp(max=tilts - 1)), -1), torch.stack((1 - a, a), -1)

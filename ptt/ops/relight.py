@@ -1,9 +1,9 @@
 """The relighting equation (Sun et al. 2007, equation 3), in the order of what changes:
 
-    light   U0[e, i, c]    = sum over l of  L[l, c] T0[e, i, l]
-            U1[e, q, s, c] = sum over l of  L[l, c] T1[e, q, s, l]           U2[e, qq', c] alike
-    BRDF    I[e, s, c]     = sum over q of  H[q, c] U1[e, q, s, c]  +  [s = 0] sum of  H[q, c] H[q', c] U2[e, qq', c]
-            Q[c, o, v]     = sum over i of  M[c, o, i] (U0 + sum over s of C[s, i] I[s, c])[i, c]
+    light   U0[c, e, i]    = sum over l of  L[c, l] T0[l, e, i]
+            U1[c, q, e, s] = sum over l of  L[c, l] T1[l, q, e, s]           U2[c, qq', e] alike
+    BRDF    I[c, e, s]     = sum over q of  H[c, q] U1[c, q, e, s]  +  [s = 0] sum of  H[c, q] H[c, q'] U2[c, qq', e]
+            Q[c, e, o]     = sum over i of  M[c, o, i] (U0[c, e, i] + sum over s of  C[s, i] I[c, e, s])
     view    B[v, c]        = sum over o of  V[o, v] Q[c, o, v]               and the lobes (`ops.view`)
 
 of every eigen-point e of every cluster k; points v are combinations of them. M is the BRDF tensor's core contracted
@@ -21,7 +21,6 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-
 T = TypeVar("T")
 
 
@@ -37,23 +36,31 @@ def brdf_step(matrices: Tensor, incident: Tensor, spans: Sequence[tuple[int, int
     return torch.cat(parts, dim=2)
 
 
+def light_eigen(transfer: Tensor, lighting: Tensor) -> Tensor:
+    """U (k, c, x) from T (k, l, x) of eigen-points and lighting (k, c, l) or (c, l), in the type of T."""
+    return torch.matmul(lighting.to(transfer.dtype), transfer).to(lighting.dtype)
+
+
 def bounced(one: Tensor, two: Tensor, h: Tensor, pairs: Tensor) -> Tensor:
-    """I (k, e, s, c) from U1 (k, e, q, s, c), U2 (k, e, pairs, c), H (q, c) of the slots of U1 and of the pairs."""
-    arriving = torch.einsum("keqsc,qc->kesc", one, h)
-    if two.shape[2]:
-        again = torch.einsum("kepc,pc->kec", two, pairs)
-        arriving = torch.cat((arriving[:, :, :1] + again[:, :, None], arriving[:, :, 1:]), 2)
-    return arriving
+    """I (k, c, e, s) from U1 (k, c, q, e, s), U2 (k, c, pairs, e), H (c, q) of their slots and (c, pairs) of pairs."""
+    arriving: Tensor = (h[:, None] @ one.flatten(3)).unflatten(3, one.shape[3:])[:, :, 0]
+    if not two.shape[2]:
+        return arriving
+    again = (pairs[:, None] @ two)[:, :, 0]
+    return torch.cat((arriving[..., :1] + again[..., None], arriving[..., 1:]), -1)
 
 
 def exitant(matrix: Tensor, incident: Tensor) -> Tensor:
-    """Q (k, c, o, e) from M (c, o, i) and U (k, e, i, c)."""
-    return torch.einsum("coi,keic->kcoe", matrix, incident)
+    """Q (k, c, e, o) from M (c, o, i) and U (k, c, e, i)."""
+    sent: Tensor = incident @ matrix.transpose(1, 2)
+    return sent
 
 
 def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Tensor:
-    """Values (b, ..., w) of points from those of eigen-points (k, ..., e), weights (b, e, w) and cluster (b,)."""
-    return (eigen.flatten(1, -2)[cluster] @ weights).unflatten(1, eigen.shape[1:-1])
+    """Values (b, c, x, w) of points from those of eigen-points (k, c, e, x), weights (b, e, w) and cluster (b,)."""
+    rows = eigen.transpose(2, 3).flatten(1, 2)[cluster]  # shape: (b, c * x, e)
+    sent: Tensor = (rows @ weights).unflatten(1, (eigen.shape[1], eigen.shape[3]))
+    return sent
 
 
 def view_step(outgoing: Tensor, sent: Tensor) -> Tensor:

@@ -1,7 +1,8 @@
-"""The view step: what points in blocks send to the eye, by the outgoing factors and by the lobes (Sun 2007, eq. 3, 4.1).
+"""The view step: what points in blocks send to the eye, by outgoing factors and by lobes (Sun 2007, sections 3.3, 4.1).
 
     B[v, c] = sum over o of  V[o, wo] Q[c, o, v]
-            + specular[c] sum over k of  rho_k(wo) (E_k[c, mirror] cut_k[v, mirror] + sum over s of  z_k[s] Y_s(mirror) I[c, s, v])
+            + specular[c] sum over k of  rho_k(wo) E_k[c, mirror] cut_k[v, mirror]
+            + specular[c] sum over k, s of  rho_k(wo) z_k[s] Y_s(mirror) I[c, s, v]
 
 V: outgoing factors, V[0] = 1 for the diffuse part; rho_k: reflectance of lobe k; E_k: the map blurred by it; cut_k: its
 fractional visibility; I: the light of one and two bounces in harmonics, which z_k blurs. A point that faces away sends
@@ -12,6 +13,7 @@ Points are innermost, in blocks of w; n = b * w of them.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -93,7 +95,8 @@ def _through(cuts: Tensor, mirror: Tensor, which: Tensor) -> Tensor:
     index, weights = corners(hemi_octahedral(mirror), _side(cuts.T), wrap=False)
     words = cuts.gather(1, index)  # shape: (n, 4)
     parts = [((words >> (8 * k)) & 255).to(weights) * weights for k in range(4)]
-    return torch.stack([part.sum(1) for part in parts], 1).index_select(1, which) / BYTE
+    through: Tensor = torch.stack([part.sum(1) for part in parts], 1).index_select(1, which).div(BYTE)
+    return through
 
 
 def _blocks(values: Tensor, like: Tensor) -> Tensor:
@@ -102,4 +105,4 @@ def _blocks(values: Tensor, like: Tensor) -> Tensor:
 
 
 def _side(table: Tensor) -> int:
-    return round(len(table) ** 0.5)
+    return math.isqrt(len(table))
