@@ -60,7 +60,7 @@ def furnace(table: Table) -> None:
     brdf = ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong((20.0,)), ranks=(1, 1, 1), separated=0)
 
     def radiance(scene: ptt.Scene, coefficients: int | None) -> Tensor:
-        relighter = ptt.TransferRelighter(ptt.compress(ptt.precompute(scene), coefficients, brdf))
+        relighter = ptt.TransferRelighter(ptt.compress(ptt.precompute(scene), coefficients, brdf, clusters=None))
         return relighter(ptt.Environment.constant(1.0), {}, FAR)
 
     ball = ptt.Scene.from_mesh(*mesh.sphere_mesh(3, 1.0), material=ptt.lambert(1.0))
@@ -110,7 +110,7 @@ def bunny(table: Table, data: Path, vertices: int, samples: int) -> None:
         "diffuse": {name: ptt.lambert(0.5)},
         "Blinn-Phong 20": {name: ptt.blinn_phong(0.0, 1.0, 20.0)},
     }
-    brdf = ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong(ptt.spaces.MODERATE), ranks=(4, 24, 24), separated=0)
+    brdf = moderate()
     radiance = {keep: relit(raw, keep, brdf, light, materials, scene.camera) for keep in (None, 256, 96, 32)}
     how = f"{vertices} random vertices that face the camera, uffizi.hdr, tensor (4, 24, 24) of exponents 1..64"
     for kind, goal in (("diffuse", 0.01), ("Blinn-Phong 20", 0.03)):
@@ -131,6 +131,11 @@ def bunny(table: Table, data: Path, vertices: int, samples: int) -> None:
             table.row(f"{what}, {keep} coefficients against untruncated", lost, "relative RMSE", note, bound)
 
 
+def moderate() -> ptt.TensorBRDF:
+    """Exponents 1..64, without lobes: what every point's own T0 shows."""
+    return ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong(ptt.spaces.MODERATE), ranks=(4, 24, 24), separated=0)
+
+
 def relit(
     raw: ptt.RawTransfer,
     keep: int | None,
@@ -143,7 +148,7 @@ def relit(
     parts: dict[str, list[Tensor]] = {kind: [] for kind in materials}
     for first in range(0, len(raw.receivers), 100):
         some = raw.part(slice(first, first + 100))
-        relighter = ptt.TransferRelighter(ptt.compress(some, keep, brdf))
+        relighter = ptt.TransferRelighter(ptt.compress(some, keep, brdf, clusters=None))
         for kind, chosen in materials.items():
             parts[kind].append(relighter(light, chosen, camera))
     return {kind: torch.cat(part) for kind, part in parts.items()}
@@ -159,7 +164,7 @@ def speed(table: Table, data: Path, stride: int) -> None:
     start = time.perf_counter()
     raw = ptt.precompute(scene, index=index)
     traced = time.perf_counter()
-    model = ptt.compress(raw, 96)
+    model = ptt.compress(raw, 96, moderate(), clusters=None)
     done = time.perf_counter()
     v = len(index)
     rays = v * Cube(64).cells / 2

@@ -28,9 +28,14 @@ def scene() -> ptt.Scene:
 
 
 @pytest.fixture(scope="module")
-def model(scene: ptt.Scene) -> ptt.TransferModel:
+def brdf() -> ptt.TensorBRDF:
+    return ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong(ptt.spaces.MODERATE), ranks=(4, 24, 24), separated=0)
+
+
+@pytest.fixture(scope="module")
+def model(scene: ptt.Scene, brdf: ptt.TensorBRDF) -> ptt.TransferModel:
     raw = ptt.precompute(scene, index=torch.arange(0, len(scene.vertices), 8))
-    return ptt.compress(raw, 96)
+    return ptt.compress(raw, 96, brdf, clusters=None)
 
 
 def record(benchmark: Any, error: float) -> None:
@@ -65,15 +70,15 @@ def test_visibility(benchmark: Any, scene: ptt.Scene) -> None:
     assert error <= 0.002
 
 
-def test_t0(benchmark: Any, scene: ptt.Scene) -> None:
+def test_t0(benchmark: Any, scene: ptt.Scene, brdf: ptt.TensorBRDF) -> None:
     """T0 of 4 vertices of the knot and its truncation; the error is in the diffuse light under the sky."""
     first = int((scene.vertex_region == scene.region_index("knot")).nonzero()[0])
     raw = ptt.precompute(scene, index=torch.arange(first, first + 4))
-    brdf = ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong(ptt.spaces.MODERATE), ranks=(4, 24, 24), separated=0)
-    model = benchmark(ptt.compress, raw, 96, brdf)
+    model = benchmark(ptt.compress, raw, 96, brdf, clusters=None)
     light = scene.environment
     assert light is not None
-    kept, whole = (ptt.TransferRelighter(m).incident(light)[:, 0] for m in (model, ptt.compress(raw, None, brdf)))
+    exact = ptt.compress(raw, None, brdf, clusters=None)
+    kept, whole = (ptt.TransferRelighter(m).incident(light)[:, 0] for m in (model, exact))
     error = ptt.relative_rmse(kept, whole)
     record(benchmark, error)
     assert error < 0.05

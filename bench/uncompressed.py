@@ -39,13 +39,15 @@ class Uncompressed:
         h = slots.coefficients(paths.slots, self.basis, [materials[name] for name in own.names])
         everyone = torch.arange(len(own))
         one = torch.cat([torch.einsum("bqsc,qc->bsc", paths.one(some), h) for some in everyone.split(32)])
-        again = torch.cat([torch.einsum("bqc,qc->bc", paths.two(some, one[:, :, None])[:, :, 0], h) for some in rows.split(32)])
+        again = [torch.einsum("bqc,qc->bc", paths.two(some, one[:, :, None])[:, :, 0], h) for some in rows.split(32)]
         two = torch.zeros(len(rows), *one.shape[1:])
-        two[:, 0] = again
-        wo = torch.einsum("vij,vj->vi", own.frames[rows], torch.nn.functional.normalize(eye - own.positions[rows], dim=1))
+        two[:, 0] = torch.cat(again)
+        toward = torch.nn.functional.normalize(eye - own.positions[rows], dim=1)
+        wo = torch.einsum("vij,vj->vi", own.frames[rows], toward)
         to_factors = bounces.responses(self.brdf)
         filtered = paths.filtered(lobes.mirror(wo))
-        shaded = [self._shade(rows, wo, materials, self._direct(rows, grid, texels.reshape(-1, 3)), self._mirrored(rows, wo, light))]
+        direct, mirrored = self._direct(rows, grid, texels.reshape(-1, 3)), self._mirrored(rows, wo, light)
+        shaded = [self._shade(rows, wo, materials, direct, mirrored)]
         for arriving in (one[rows], two):
             factors = torch.einsum("si,bsc->bic", to_factors, arriving)
             shaded.append(self._shade(rows, wo, materials, factors, torch.einsum("bks,bsc->bkc", filtered, arriving)))

@@ -102,7 +102,7 @@ def assemble(
     if len(basis.space.samples) != len(brdf.space.samples):
         raise ValueError("basis must be fitted to the space of brdf")
     slots = slots_of(raw.receivers, basis.mixture.shape[1]) if raw.bounces else []
-    axes = _axes(len(raw.receivers), len(slots), max_memory)
+    axes = _axes(len(raw.receivers), len(slots), raw.bounces, max_memory)
     direct = direct_light(raw, brdf, coefficients, progress)
     cuts = _cuts(raw, brdf, progress)
     weights = _weights(brdf, basis, slots)
@@ -168,12 +168,17 @@ def _cuts(raw: RawTransfer, brdf: TensorBRDF, progress: bool) -> Tensor:
     return torch.cat(parts)
 
 
-def _axes(points: int, slots: int, max_memory: float) -> int:
-    each = 2 * points * slots * (ORDER**2 + slots / 4)  # T2's lighting has 24 coefficients, about 128 / 4 / 1.3
-    fit = int(SHARE * max_memory / each) if each else AXES
+def _axes(points: int, slots: int, bounces: int, max_memory: float) -> int:
+    """As many as fit beside T2."""
+    each = 2 * points * slots * ORDER**2
+    two = 2 * points * slots**2 * 6 * COARSEST**2 if bounces == 2 else 0
+    fit = int((SHARE * max_memory - two) / each) if each else AXES
     if fit < FEWEST:
-        need = each * FEWEST / SHARE
-        raise ValueError(f"max_memory must be at least {need / 1e9:.1f}e9 for {points} points and {slots} slots")
+        need = math.ceil((two + each * FEWEST) / SHARE)
+        raise ValueError(
+            f"max_memory must be at least {need} for {points} points and {slots} slots, got {max_memory:g}: "
+            "allow more, or make regions fixed and the basis of fewer functions"
+        )
     return min(AXES, fit)
 
 

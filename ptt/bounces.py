@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import torch
@@ -206,7 +207,8 @@ def responses(brdf: TensorBRDF) -> Tensor:
     return torch.cat((constant, specular), 1).float()
 
 
-def _mirrored(angles: Sequence[float], resolution: int) -> Tensor:
+@cache
+def _mirrored(angles: tuple[float, ...], resolution: int) -> Tensor:
     """Mean light about the cells of MIRRORS under each lobe (cells, k, l), of a cube map's coarse Haar coefficients."""
     if not angles:
         return torch.zeros(MIRRORS.cells, 0, 6 * COARSE**2)

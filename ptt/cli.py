@@ -5,20 +5,31 @@ from __future__ import annotations
 import json
 import sys
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import tyro
 
 from ptt.environment import Environment
+from ptt.materials import Material
 from ptt.scene import Scene
+from ptt.shapes import GGX, BlinnPhong, CookTorrance, Ward
+from ptt.spaces import BRDFSpace
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 Config = TypeVar("Config", bound="DataclassInstance")
+Space = Literal["auto", "blinn-phong", "fitted", "ward", "ggx"]
+SPACES: dict[str, Callable[[], BRDFSpace]] = {
+    "blinn-phong": BRDFSpace.blinn_phong,
+    "fitted": BRDFSpace.fitted,
+    "ward": BRDFSpace.ward,
+    "ggx": BRDFSpace.ggx,
+}
+OF_MODEL = {BlinnPhong.model: "blinn-phong", CookTorrance.model: "fitted", Ward.model: "ward", GGX.model: "ggx"}
 
 
 def configure(cls: type[Config], doc: str) -> Config:
@@ -64,6 +75,25 @@ def load_light(name: str, scene: Scene) -> Environment:
     if light is None:
         raise ValueError("--environment must be a map (.exr .hdr), sky or constant: the scene has none of its own")
     return light
+
+
+def load_space(name: Space, materials: Mapping[str, Material]) -> BRDFSpace:
+    """The space of that name; "auto" is the one of the shapes that the materials have, Blinn-Phong for none.
+
+    Raises:
+        ValueError: materials of several models, or of one that has no space of its own.
+    """
+    if name != "auto":
+        return SPACES[name]()
+    shapes = [material.shape for material in materials.values() if material.shape is not None]
+    models = sorted({shape.model for shape in shapes}) or [BlinnPhong.model]
+    if len(models) > 1 or models[0] not in OF_MODEL:
+        found = ", ".join(f"{name} {m.shape.model}" for name, m in materials.items() if m.shape is not None)
+        raise ValueError(
+            f"a space holds one model of {', '.join(OF_MODEL)}; the scene has {found}: change its materials"
+        )
+    anisotropic = any(not shape.isotropic for shape in shapes)
+    return BRDFSpace.ward(anisotropic=True) if anisotropic else SPACES[OF_MODEL[models[0]]]()
 
 
 def save_config(config: Any, path: Path) -> None:

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 
 import torch
@@ -16,7 +17,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from ptt.assembly import ALWAYS, Transfer, natural
-from ptt.bounces import COARSE, ORDER
+from ptt.bounces import ORDER
 from ptt.models.clustered_transfer import LOBES, STORAGE, WIDTH, ClusteredTransfer, Parts, in_blocks
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import cpca
@@ -41,7 +42,7 @@ class Clusters:
     error: relative, of the features in L2; when given, `eigenvectors` follows from it, region by region
 
     Raises:
-        ValueError: a number below 1, an error outside of (0, 1), or another storage.
+        ValueError: a number below 1, an error outside of (0, 1), another storage, or both bytes and error.
     """
 
     points: int = 250
@@ -53,6 +54,8 @@ class Clusters:
     error: float | None = None
 
     def __post_init__(self) -> None:
+        if self.bytes is not None and self.error is not None:
+            raise ValueError("bytes and error exclude each other: error decides the eigenvectors, and so the bytes")
         if min(self.points, self.eigenvectors, self.lighting, self.columns) < 1:
             raise ValueError(f"points, eigenvectors, lighting and columns must be at least 1, got {self}")
         if self.storage not in STORAGE.values():
@@ -65,7 +68,7 @@ def cluster(transfer: Transfer, clusters: Clusters = Clusters(), *, progress: bo
     """The compressed model: the clustered transfer of every region.
 
     Raises:
-        ValueError: fewer bytes than one cluster a region needs.
+        ValueError: fewer bytes than one cluster a region needs, or an error that the most eigenvectors do not meet.
     """
     own = transfer.raw.receivers
     regions = [_Region(transfer, first, end) for first, end in own.spans]
@@ -75,20 +78,22 @@ def cluster(transfer: Transfer, clusters: Clusters = Clusters(), *, progress: bo
     with tqdm(total=len(own), desc="clusters", unit=" points", disable=not progress) as bar:
         for region in regions:
             found.append(region.compressed(clusters))
-            bar.update(region.end - region.first)
-    resolution, error = transfer.raw.resolution, transfer.direct.error
-    return TransferModel(own, transfer.brdf, transfer.basis, resolution, None, found, error)
+            bar.update(region.points)
+    raw, error = transfer.raw, transfer.direct.error
+    return TransferModel(own, transfer.brdf, transfer.basis, raw.resolution, raw.bounces, None, found, error)
 
 
 def _points_for(clusters: Clusters, regions: list[_Region]) -> int:
-    """Points of a cluster so that all clusters together have so many bytes."""
+    """The fewest points of a cluster with which all clusters together have no more than the bytes."""
     assert clusters.bytes is not None
-    points = sum(region.end - region.first for region in regions)
-    largest = max(region.bytes(clusters) for region in regions)
-    count = int(clusters.bytes / largest)
-    if count < len(regions):
-        raise ValueError(f"bytes must be at least {largest * len(regions):.3g}, one cluster a region")
-    return max(1, -(-points // count))
+    limit, most = clusters.bytes, max(1, *(region.points for region in regions))
+
+    def bytes_(points: int) -> int:
+        return sum(_count(region.points, points) * region.bytes(clusters) for region in regions)
+
+    if bytes_(most) > limit:
+        raise ValueError(f"bytes must be at least {bytes_(most)}, one cluster a region, got {limit:g}")
+    return 1 + bisect_left(range(1, most + 1), True, key=lambda points: bytes_(points) <= limit)
 
 
 class _Region:
@@ -101,13 +106,21 @@ class _Region:
         again = two.abs().amax((0, 3)) > 0 if two.numel() else torch.zeros(0, 0)
         self.slots, self.pairs = torch.nonzero(lit)[:, 0], torch.nonzero(again)
 
+    @property
+    def points(self) -> int:
+        """Of the region."""
+        return self.end - self.first
+
     def bytes(self, clusters: Clusters) -> int:
         """Of one cluster."""
-        e, factors = clusters.eigenvectors, self.transfer.direct.coarse.shape[1]
-        q, pairs, coarsest = len(self.slots), len(self.pairs), self.transfer.indirect.two.shape[3]
-        stored = e * (factors * clusters.columns + q * ORDER**2 * clusters.lighting + pairs * coarsest)
-        axes = 6 * COARSE**2 * 4 * clusters.lighting if q else 0
-        return int(stored * clusters.storage.itemsize + axes + 8 * clusters.columns)
+        indirect, factors = self.transfer.indirect, self.transfer.direct.coarse.shape[1]
+        m, n = min(clusters.columns, Cube(self.transfer.raw.resolution).cells), self._lighting(clusters)
+        each = factors * m + len(self.slots) * ORDER**2 * n + len(self.pairs) * indirect.two.shape[3]
+        return clusters.eigenvectors * each * clusters.storage.itemsize + 8 * m + 4 * n * indirect.axes.shape[1]
+
+    def _lighting(self, clusters: Clusters) -> int:
+        """Dimensions of a cluster's own lighting: none where no slot needs it."""
+        return min(clusters.lighting, len(self.transfer.indirect.axes)) if len(self.slots) else 0
 
     def compressed(self, clusters: Clusters) -> ClusteredTransfer:
         """By CPCA of the features."""
@@ -141,7 +154,7 @@ class _Region:
 
     def _sketch(self) -> Tensor:
         """Features (v, r) on common directions."""
-        rows = torch.arange(self.end - self.first)
+        rows = torch.arange(self.points)
         probes = rows[torch.randperm(len(rows), generator=torch.Generator().manual_seed(0))[:PROBES].sort().values]
         directions = cpca.basis(self._features(probes), min(SKETCH, len(probes)))
         return torch.cat([self._features(part) @ directions.T for part in rows.split(512)])
@@ -167,7 +180,7 @@ class _Region:
         t1, t2 = self._indirect(rows)
         t1 = torch.einsum("ve,vqsl->eqsl", combination, t1)
         weighed = (t1 * (weights.slots[self.slots][:, None, None] * weights.harmonics[:, None])).flatten(0, 2).double()
-        own = torch.linalg.eigh(weighed.T @ weighed).eigenvectors.flip(1)[:, : clusters.lighting].float()
+        own = torch.linalg.eigh(weighed.T @ weighed).eigenvectors.flip(1)[:, : self._lighting(clusters)].float()
         t1, t2 = (t1 @ own).permute(3, 1, 0, 2), torch.einsum("ve,vpl->lpe", combination, t2)
         return *self._lifted_direct(rows, combination, clusters), own.T @ axes, t1.flatten(1), t2.flatten(1)
 
@@ -187,19 +200,27 @@ class _Region:
 def _labels(x: Tensor, points: int, eigenvectors: int) -> Tensor:
     if not len(x):
         return torch.zeros(0, dtype=torch.int64)
-    return cpca.cluster(x, max(1, round(len(x) / points)), eigenvectors)
+    return cpca.cluster(x, _count(len(x), points), eigenvectors)
+
+
+def _count(points: int, each: int) -> int:
+    return max(1, round(points / each))
 
 
 def _eigenvectors_for(x: Tensor, clusters: Clusters) -> int:
-    """The fewest that leave no more than the error, or the most that are tried."""
+    """The fewest that leave no more than the error."""
     assert clusters.error is not None
-    bound = clusters.error**2 * float(x.square().sum())
+    whole, left = float(x.square().sum()), 0.0
     for e in STEPS:
         labels, left = _labels(x, clusters.points, e), 0.0
         for k in range(int(labels.max()) + 1 if len(x) else 0):
             own = x[labels == k]
             caught = own @ cpca.basis(own, e).T
             left += max(0.0, float(own.square().sum() - caught.square().sum()))
-        if left <= bound:
+        if left <= clusters.error**2 * whole:
             return e
-    return STEPS[-1]
+    reached = math.sqrt(left / whole)
+    raise ValueError(
+        f"error must be at least {reached:.3g} with {STEPS[-1]} eigenvectors and {clusters.points} points a cluster, "
+        f"got {clusters.error:g}: fewer points reach less"
+    )

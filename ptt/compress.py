@@ -45,16 +45,16 @@ def compress(
 
     Sun et al. 2007, sections 3.3 and 4.3; Ng et al. 2003 for the weighting by area.
     """
+    if clusters is None and raw.bounces:
+        raise ValueError("light that bounces needs clusters, got None")
     brdf = brdf or TensorBRDF.fit(BRDFSpace.blinn_phong(), ranks=RANKS, separated=LOBES if clusters else 0)
     if clusters is not None:
         basis = basis or BRDFBasis.fit(brdf.space)
         transfer = assemble(raw, brdf, basis, coefficients, max_memory=max_memory, progress=progress)
         return cluster(transfer, clusters, progress=progress)
-    if raw.bounces:
-        raise ValueError("light that bounces needs clusters, got None")
     if brdf.angles:
         raise ValueError("brdf must be fitted with separated=0: without clusters no lobes are shown")
     direct = direct_light(raw, brdf, coefficients, progress)
     largest = Truncated(direct.indices, direct.values)
     sparse = SparseTransfer.of(largest, direct.coarse.shape[1], Cube(raw.resolution).cells)
-    return TransferModel(raw.receivers, brdf, None, raw.resolution, sparse, [], direct.error)
+    return TransferModel(raw.receivers, brdf, None, raw.resolution, 0, sparse, [], direct.error)

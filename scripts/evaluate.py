@@ -30,6 +30,8 @@ class Config:
     """An HDR map (.exr .hdr), "scene" for the scene's own, "sky" or "constant"."""
     rotate: float = 0.0
     """Turn of the light about the vertical axis, degrees."""
+    bounces: int | None = None
+    """Of the reference; default: those that the model was made for."""
     samples: int = 1024
     """Light paths for each vertex of the reference."""
 
@@ -44,8 +46,9 @@ def main() -> None:
     start = time.perf_counter()
     radiance = relighter(light, scene.materials, scene.camera)
     relit = time.perf_counter()
+    bounces = model.bounces if config.bounces is None else config.bounces
     truth = ptt.reference.at_vertices(
-        scene, light, scene.materials, scene.camera, samples=config.samples, progress=True
+        scene, light, scene.materials, scene.camera, bounces=bounces, samples=config.samples, progress=True
     )
     traced = time.perf_counter()
 
@@ -57,9 +60,9 @@ def main() -> None:
             noise = float(truth.standard_error[at].square().mean().sqrt() / truth.mean[at].square().mean().sqrt())
             errors[name] = {"relative_rmse": ptt.relative_rmse(radiance[at], truth.mean[at]), "noise": noise}
             print(f"{name:>12}: relative RMSE {errors[name]['relative_rmse']:.4f}, reference noise {noise:.4f}")
-    print(f"relit in {relit - start:.3f} s, reference in {traced - relit:.1f} s")
+    print(f"relit in {relit - start:.3f} s, reference of {bounces} bounces in {traced - relit:.1f} s")
     result = {
-        "config": asdict(config),
+        "config": asdict(config) | {"bounces": bounces},
         "errors": errors,
         "relight_s": relit - start,
         "reference_s": traced - relit,

@@ -1,7 +1,9 @@
-"""Trace a scene: which light every vertex sees. Slow, once per geometry; nothing here depends on materials.
+"""Trace a scene: which light every vertex sees, and which other vertices. Slow, once per geometry.
+
+Nothing here depends on materials.
 
     python scripts/precompute.py                                   # the default scene
-    python scripts/precompute.py --scene bunny.ply --out runs/bunny
+    python scripts/precompute.py --scene bunny.ply --bounces 0 --out runs/bunny
     python scripts/precompute.py --scene scripts/configs/bunny.toml --resolution 32
 
 Writes OUT/raw.safetensors and OUT/precompute.json. Next: compress.py.
@@ -25,6 +27,10 @@ class Config:
     """A mesh (.ply .obj .stl .gltf .glb), a scene file (.toml), or "default", which is made in code."""
     resolution: int = 64
     """Cells along an edge of the cube map that holds the light; a power of two up to 128."""
+    bounces: int = 2
+    """Reflections before the last one that the models show: 0 for direct light, 1 or 2."""
+    rays: int = 512
+    """Over the hemisphere of each vertex, for light that bounces."""
     out: Path = Path("runs/default")
     """Folder for the result."""
 
@@ -36,7 +42,7 @@ def main() -> None:
     print(f"{len(scene.vertices)} vertices, {len(scene.faces)} triangles; {counts}")
 
     start = time.perf_counter()
-    raw = ptt.precompute(scene, config.resolution, progress=True)
+    raw = ptt.precompute(scene, config.bounces, resolution=config.resolution, rays=config.rays, progress=True)
     seconds = time.perf_counter() - start
 
     config.out.mkdir(parents=True, exist_ok=True)

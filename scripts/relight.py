@@ -19,7 +19,7 @@ from pathlib import Path
 import torch
 
 import ptt
-from ptt.cli import configure, load_light, load_scene, run
+from ptt.cli import configure, load_light, load_scene, load_space, run
 
 
 @dataclass
@@ -39,15 +39,17 @@ class Config:
     specular: tuple[float, float, float] = (0.5, 0.6, 0.5)
     """Weight of its highlight."""
     exponent: float = 16.0
-    """Sharpness of its highlight, 1..64."""
+    """Sharpness of its highlight, 1..200; a shape other than Blinn-Phong stays as it is in the scene."""
     turn: float = 110.0
     """Turn of the light about the vertical axis, degrees."""
     orbit: float = -50.0
     """Turn of the camera about its target, degrees."""
+    bounces: int = 2
+    """Reflections before the last one, where the scene is traced here; with --model, those that it was made for."""
     coefficients: int = 96
     """Haar coefficients kept for each vertex and incident factor, where the scene is compressed here."""
     samples: int = 64
-    """Light paths of the reference for each pixel, 16 times as many for each vertex; 0 leaves it out."""
+    """Light paths of the reference for each pixel, 4 times as many for each vertex; 0 leaves it out."""
     exposure: float | None = None
     """Stops that brighten the PNGs; default: those that bring the brightest twentieth of "before" to white."""
     width: int = 480
@@ -65,16 +67,21 @@ def main() -> None:
     # what is edited
     names = [region.name for region in scene.regions]
     region = config.region or names[min(1, len(names) - 1)]
-    edited = ptt.blinn_phong(config.diffuse, config.specular, config.exponent)
-    scene.region_index(region)  # an unknown name, or a shape that no model shows, ends it before the long work
-    ptt.BRDFSpace.blinn_phong(ptt.spaces.MODERATE).coordinates(edited.shape)
+    scene.region_index(region)  # an unknown name, or below a shape that the model cannot show, ends it early
+    own = scene.materials[region].shape
+    shape = ptt.BlinnPhong(config.exponent) if own is None or isinstance(own, ptt.BlinnPhong) else own
+    edited = ptt.Material(config.diffuse, config.specular, shape)
 
     # trace and compress, or load
     if config.model is None:
-        raw = ptt.precompute(scene, progress=True)
-        model = ptt.compress(raw, config.coefficients, progress=True)
+        space = load_space("auto", scene.materials | {region: edited})
+        space.coordinates(shape)
+        raw = ptt.precompute(scene, config.bounces, progress=True)
+        brdf = ptt.TensorBRDF.fit(space, ranks=(4, 16, 16), separated=3)
+        model = ptt.compress(raw, config.coefficients, brdf, progress=True)
     else:
         model = ptt.TransferModel.load(config.model)
+        model.brdf.space.coordinates(shape)
     relighter = ptt.TransferRelighter(model)
 
     states = {
@@ -98,7 +105,9 @@ def main() -> None:
         report[name] = {"relight_ms": 1e3 * seconds}
         line = f"{name:>9}: relit in {1e3 * seconds:6.1f} ms"
         if config.samples:
-            column, errors = judge(scene, environment, materials, view, radiance, picture, config.samples)
+            column, errors = judge(
+                scene, environment, materials, view, radiance, picture, (model.bounces, config.samples)
+            )
             columns.append(column)
             report[name] |= errors
             line += ", relative RMSE {relative_rmse:.4f} (reference noise {noise:.4f})".format(**errors)
@@ -111,11 +120,16 @@ def main() -> None:
     print(f"pictures are in {config.out}")
 
 
-def judge(scene, environment, materials, view, radiance, picture, samples):
-    """A column of pictures (relit, reference, difference x 4), and the errors at the vertices that face the eye."""
-    truth = ptt.reference.at_vertices(scene, environment, materials, view, samples=16 * samples)
+def judge(scene, environment, materials, view, radiance, picture, settings):
+    """A column of pictures (relit, reference, difference x 4), and the errors at the vertices that face the eye.
+
+    settings: bounces of the reference, and its samples
+    """
+    bounces, samples = settings
+    every = scene, environment, materials, view
+    truth = ptt.reference.at_vertices(*every, bounces=bounces, samples=4 * samples)
     facing = (view.toward(scene.vertices) * scene.normals).sum(1) > 0
-    image = ptt.reference.image(scene, environment, materials, view, samples=samples).mean.float()
+    image = ptt.reference.image(*every, bounces=bounces, samples=samples).mean.float()
     difference = 4 * (picture.pixels - image).abs()
     noise = float(truth.standard_error[facing].norm() / truth.mean[facing].norm())
     error = ptt.relative_rmse(radiance[facing], truth.mean[facing])

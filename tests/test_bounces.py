@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator
 from dataclasses import replace
-from functools import cache
 from typing import NamedTuple
 
 import pytest
@@ -14,9 +12,9 @@ import torch
 from torch import Tensor
 
 import ptt
-from ptt import bounces, reference
+from ptt import reference
+from ptt.assembly import _cuts
 from ptt.bounces import COARSE, CUTS, ORDER, Bounces
-from ptt.compress import _cuts
 from ptt.meshes import Part
 from ptt.models.slots import OWN, Slot, coefficients
 from ptt.ops import haar, harmonics, lobes, mesh, transfer
@@ -36,14 +34,6 @@ def fitted(separated: int) -> tuple[ptt.TensorBRDF, ptt.BRDFBasis]:
 @pytest.fixture(scope="module")
 def models() -> tuple[ptt.TensorBRDF, ptt.BRDFBasis]:
     return fitted(separated=3)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _once() -> Iterator[None]:
-    """The mean light of mirror directions depends on no scene: it need not be made for each."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bounces, "_mirrored", cache(bounces._mirrored))
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -355,7 +345,7 @@ def test_reduced_lighting_commutes(raw: ptt.RawTransfer, models: tuple[ptt.Tenso
 def test_without_lobes(raw: ptt.RawTransfer, models: tuple[ptt.TensorBRDF, ptt.BRDFBasis]) -> None:
     """A tensor that separates no lobes, with the table of visibility that `compress` makes then."""
     brdf, basis = fitted(separated=0)
-    made = Bounces(raw, brdf, basis, coarse_t0(raw, brdf), _cuts(raw, Cube(N), brdf, progress=False))
+    made = Bounces(raw, brdf, basis, coarse_t0(raw, brdf), _cuts(raw, brdf, progress=False))
     rows = seeing_points(raw)[:3]
     diffuse = [q for q, slot in enumerate(made.slots) if slot.function == 0]
     assert_close(made.one(rows)[:, diffuse], paths(raw, models).one(rows)[:, diffuse], 1e-5)

@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 import ptt
+from ptt.assembly import Transfer
 from ptt.bounces import blurs, responses
+from ptt.clustering import _eigenvectors_for, _Region
 from ptt.meshes import Part
 from ptt.models import light_maps, slots
 from ptt.ops import haar, harmonics, lobes, mesh, octahedral
 
-SKY = ptt.Environment.sun_sky(radius=10.0)
+SKY = ptt.Environment(
+    nn.functional.avg_pool2d(ptt.Environment.sun_sky(radius=10.0).map.movedim(-1, 0), 8).movedim(0, -1)
+)
 EYE = torch.tensor([1.0, 2.0, 3.0])
 Functions = tuple[ptt.TensorBRDF, ptt.BRDFBasis]
 
@@ -94,7 +100,7 @@ def written_out(
     incident = u0 + responses(brdf).double().T @ arriving
 
     frame = model.frames[v].double()
-    wo = frame @ torch.nn.functional.normalize(EYE - model.positions[v], dim=0).double()
+    wo = frame @ nn.functional.normalize(EYE - model.positions[v], dim=0).double()
     out = model.colours[v] * material.diffuse / math.pi * incident[0]
     if material.shape is None:
         return out
@@ -126,7 +132,7 @@ def test_the_equations_written_out(which: str, clustered_model: ptt.TransferMode
     light = ramp()
     radiance = ptt.TransferRelighter(model)(light, {"ball": materials["ball"]}, EYE)
     assert any(slot.channel == 2 for slot in model.slots) == (which == "coloured")
-    wo = torch.nn.functional.normalize(EYE - model.positions, dim=1)
+    wo = nn.functional.normalize(EYE - model.positions, dim=1)
     seen = torch.nonzero((model.frames[:, 2] * wo).sum(1) > 0.05)[:, 0].tolist()
     for v in [*seen[:: max(1, len(seen) // 12)], seen[-1]]:
         expected = written_out(model, light, materials, v)
@@ -155,12 +161,27 @@ def test_as_many_eigenvectors_as_points_are_exact(tiny: ptt.RawTransfer, monkeyp
         assert ptt.relative_rmse(clustered, exact) < 1e-5
 
 
-def test_keeping_more_is_nearer_to_the_whole(tiny: ptt.RawTransfer, glossy: Functions) -> None:
+@pytest.fixture(scope="module")
+def assembled(tiny: ptt.RawTransfer, glossy: Functions) -> Transfer:
+    return ptt.assemble(tiny, *glossy, 64)
+
+
+def test_clusters_of_an_assembly_are_those_of_compress(
+    assembled: Transfer, tiny: ptt.RawTransfer, glossy: Functions
+) -> None:
+    clusters = ptt.Clusters(30, 8, 32, 128)
+    once, twice = ptt.compress(tiny, 64, *glossy, clusters), ptt.cluster(assembled, clusters)
+    assert twice.bounces == tiny.bounces and once.truncation_error == twice.truncation_error
+    for (name, a), (other, b) in zip(once.named_buffers(), twice.named_buffers(), strict=True):
+        assert name == other and torch.equal(a, b), name
+
+
+def test_keeping_more_is_nearer_to_the_whole(assembled: Transfer) -> None:
     """Each approximation alone, from the same transfer: less of it errs more, and never by much."""
     best = {"points": 10_000, "eigenvectors": 42, "columns": 1536, "lighting": 128, "storage": torch.float32}
 
     def of(**change: Any) -> Tensor:
-        return lit(ptt.compress(tiny, 64, *glossy, ptt.Clusters(**{**best, **change})))
+        return lit(ptt.cluster(assembled, ptt.Clusters(**{**best, **change})))
 
     whole = of()
     for name, coarse, fine, bound in (("eigenvectors", 4, 16, 0.2), ("columns", 24, 192, 0.3), ("lighting", 1, 8, 0.1)):
@@ -168,10 +189,10 @@ def test_keeping_more_is_nearer_to_the_whole(tiny: ptt.RawTransfer, glossy: Func
         assert 1e-6 < errors[1] < errors[0] / 2 and errors[0] < bound, (name, errors)
 
 
-def test_storage_rounds_and_no_more(tiny: ptt.RawTransfer, glossy: Functions) -> None:
+def test_storage_rounds_and_no_more(assembled: Transfer) -> None:
     """Relative roundings of 2^-11 and 2^-8 in a product of two."""
     models = {
-        dtype: ptt.compress(tiny, 32, *glossy, ptt.Clusters(30, 8, 32, 128, storage=dtype))
+        dtype: ptt.cluster(assembled, ptt.Clusters(30, 8, 32, 128, storage=dtype))
         for dtype in (torch.float32, torch.float16, torch.bfloat16)
     }
     exact = lit(models[torch.float32])
@@ -182,16 +203,74 @@ def test_storage_rounds_and_no_more(tiny: ptt.RawTransfer, glossy: Functions) ->
         assert len(stored) == 3 * len(models[dtype].regions) and all(b.isfinite().all() for b in stored)
 
 
+@pytest.mark.parametrize("share", [1.0, 0.4, 0.1])
+def test_as_many_bytes_as_are_given(share: float, assembled: Transfer) -> None:
+    """Of what the clusters hold, not the points: near the bytes from below, as far as whole clusters can."""
+    stored = ("columns", "direct", "lighting", "one", "two")
+
+    def bytes_of(**clusters: Any) -> int:
+        model = ptt.cluster(assembled, ptt.Clusters(eigenvectors=6, lighting=16, columns=64, **clusters))
+        return sum(getattr(region, name).nbytes for region in model.clustered for name in stored)
+
+    most, least = bytes_of(points=4), bytes_of(points=1000)
+    limit = least + share * (most - least)
+    assert 0.6 * limit < bytes_of(bytes=limit) <= limit
+    assert bytes_of(bytes=least) == least
+    with pytest.raises(ValueError, match=f"bytes must be at least {least}, one cluster a region, got {least - 1}"):
+        bytes_of(bytes=least - 1)
+
+
+def test_a_larger_error_needs_fewer_eigenvectors(assembled: Transfer) -> None:
+    """And it is met: what the points' combinations span leaves no more of the features, region by region."""
+    count = {}
+    for error in (0.3, 0.1, 0.03):
+        model = ptt.cluster(assembled, ptt.Clusters(points=30, columns=64, lighting=8, error=error))
+        for region, (first, end) in zip(model.clustered, model.receivers.spans, strict=True):
+            x = _Region(assembled, first, end)._sketch().double()
+            weights = region.weights.transpose(1, 2).flatten(0, 1)[region.place].double()
+            labels = region.cluster[region.place // region.weights.shape[2]]
+            left = 0.0
+            for k in labels.unique():
+                own, w = x[labels == k], weights[labels == k]
+                left += float((own - w @ torch.linalg.pinv(w) @ own).square().sum())
+            assert math.sqrt(left / float(x.square().sum())) < error * 1.001
+        count[error] = [region.eigenvectors for region in model.clustered]
+    assert sum(count[0.3]) < sum(count[0.1]) < sum(count[0.03])
+    with pytest.raises(ValueError, match=r"error must be at least .* fewer points reach less"):
+        _eigenvectors_for(torch.randn(80, 100), ptt.Clusters(points=80, error=0.01))
+
+
+def test_light_that_arrives_after_two_reflections_alone(assembled: Transfer) -> None:
+    """Points that see nothing that is lit, and beyond it something that is: pairs without slots."""
+    none, indirect = torch.zeros_like(assembled.indirect.one), assembled.indirect
+    once, twice, dark = (
+        ptt.cluster(replace(assembled, indirect=part), ptt.Clusters(30, 8, 32, 128))
+        for part in (indirect, indirect._replace(one=none), indirect._replace(one=none, two=0 * indirect.two))
+    )
+    assert all(not region.slots and region.pairs for region in twice.clustered)
+    assert all(region.lighting.numel() == 0 for region in twice.clustered)
+    of = [float(lit(model).mean()) for model in (dark, twice, once)]
+    assert of[0] < of[1] < of[2]
+
+
+def test_memory(tiny: ptt.RawTransfer, glossy: Functions) -> None:
+    """What the message asks for is enough; then T1 and T2 fill half of it, with 32 axes of lighting."""
+    with pytest.raises(ValueError, match=r"67 points and 10 slots, got 1000: allow more, or make regions fixed") as got:
+        ptt.compress(tiny, 32, *glossy, max_memory=1e3)
+    need = float(re.findall(r"at least (\S+) for", str(got.value))[0])
+    indirect = ptt.assemble(tiny, *glossy, 32, max_memory=need).indirect
+    assert len(indirect.axes) == 32
+    assert indirect.one.nbytes + indirect.two.nbytes == need / 2
+
+
 # Light
 
 
 @pytest.mark.parametrize(
     ("storage", "rounding"), [(torch.float32, 1e-4), (torch.float16, 4e-3), (torch.bfloat16, 3e-2)]
 )
-def test_linear_in_light_and_black_in_the_dark(
-    storage: torch.dtype, rounding: float, tiny: ptt.RawTransfer, glossy: Functions
-) -> None:
-    relighter = ptt.TransferRelighter(ptt.compress(tiny, 32, *glossy, ptt.Clusters(30, 8, 32, 128, storage)))
+def test_linear_in_light_and_black_in_the_dark(storage: torch.dtype, rounding: float, assembled: Transfer) -> None:
+    relighter = ptt.TransferRelighter(ptt.cluster(assembled, ptt.Clusters(30, 8, 32, 128, storage)))
 
     def of(environment: ptt.Environment) -> Tensor:
         return relighter(environment, {}, EYE)
@@ -305,12 +384,11 @@ def test_inference_mode_results_do_not_leak_into_training(relighter: ptt.Transfe
     assert weight.grad is not None and (weight.grad > 0).all()
 
 
-def test_compiled_agrees_with_eager(clustered_model: ptt.TransferModel, small_scene: ptt.Scene) -> None:
+def test_compiled_agrees_with_eager(clustered_model: ptt.TransferModel) -> None:
     eager, compiled = (ptt.TransferRelighter(clustered_model, compiled=c) for c in (False, True))
-    for materials in ({}, {"ball": ptt.lambert(0.4)}):
-        for eye in ([1.0, 2.0, 3.0], [-2.0, 1.0, 0.0]):
-            a, b = (r(SKY, materials, torch.tensor(eye)) for r in (eager, compiled))
-            assert torch.allclose(a, b, rtol=1e-4, atol=1e-5)
+    for eye in ([1.0, 2.0, 3.0], [-2.0, 1.0, 0.0]):  # a region with lobes, one without
+        a, b = (r(SKY, {}, torch.tensor(eye)) for r in (eager, compiled))
+        assert torch.allclose(a, b, rtol=1e-4, atol=1e-5)
 
 
 # Degenerate scenes
@@ -326,12 +404,33 @@ def test_one_triangle(glossy: Functions) -> None:
     assert torch.allclose(radiance, torch.tensor(0.6), rtol=2e-3)
 
 
-def test_one_point_a_region_and_regions_without_points(glossy: Functions) -> None:
+@pytest.fixture(scope="module")
+def plain(glossy: Functions) -> ptt.TensorBRDF:
+    return ptt.TensorBRDF.fit(glossy[0].space, ranks=(3, 8, 8), separated=0)
+
+
+@pytest.mark.parametrize("bounces", [0, 2])
+def test_a_tensor_without_lobes(bounces: int, tiny: ptt.RawTransfer, plain: ptt.TensorBRDF, glossy: Functions) -> None:
+    """No cuts, no maps; and under the same light nearly what a tensor with lobes shows of dull materials."""
+    raw = tiny if bounces else tiny.part(slice(None))
+    best = ptt.Clusters(10_000, 42, 64, 1536, torch.float32)
+    dull = {"ball": ptt.blinn_phong(0.3, 0.4, 3.0), "floor": ptt.blinn_phong(0.3, 0.4, 3.0)}
+    models = [ptt.compress(raw, 64, brdf, glossy[1], best) for brdf in (plain, glossy[0])]
+    assert all(region.cuts.shape[1] == 0 for region in models[0].clustered)
+    assert [model.bounces for model in models] == [bounces] * 2
+    without, with_lobes = (lit(model, dull) for model in models)
+    assert ptt.relative_rmse(without, with_lobes) < 0.03
+
+
+def test_one_point_a_region_and_regions_without_points(glossy: Functions, tmp_path: Path) -> None:
     parts = [plane("floor", 0.0, editable=False), ball("ball", 0.6)]
     whole = lit(model_of(parts, glossy, bounces=0, eigenvectors=32, points=16, columns=384))
     for index in ([3, 20], [0, 1, 2], [17, 20]):
         at = torch.tensor(index)
-        part = lit(model_of(parts, glossy, bounces=0, index=at, columns=384))
+        model = model_of(parts, glossy, bounces=0, index=at, columns=384)
+        part = lit(model)
+        model.save(tmp_path / "m.safetensors")
+        assert torch.equal(lit(ptt.TransferModel.load(tmp_path / "m.safetensors")), part)
         assert ptt.relative_rmse(part, whole[at]) < 0.02
 
 
@@ -344,8 +443,9 @@ def test_no_editable_region(glossy: Functions) -> None:
             model_of([replace(p, material=both[p.name], editable=e) for p in parts], glossy, eigenvectors=42)
             for e in (False, True)
         )
-        assert ptt.relative_rmse(lit(fixed), lit(free)) < 0.02
-        assert (lit(fixed) == 0).all() == black
+        radiance = lit(fixed)
+        assert ptt.relative_rmse(radiance, lit(free)) < 0.02
+        assert (radiance == 0).all() == black
         assert len(fixed.slots) == (0 if black else 3) and len(free.slots) == 10
 
 
@@ -366,9 +466,11 @@ def test_slots_of_what_is_seen_alone(glossy: Functions) -> None:
     assert torch.equal(a[: -floor.points], b[: -floor.points])
 
 
-def test_more_clusters_than_points(glossy: Functions) -> None:
-    parts = [plane("floor", 0.0), ball("ball", 0.6)]
-    few, many = (model_of(parts, glossy, points=p, eigenvectors=e, columns=384) for p, e in ((1000, 64), (1, 4)))
+def test_more_clusters_than_points(assembled: Transfer) -> None:
+    few, many = (
+        ptt.cluster(assembled, ptt.Clusters(points, e, columns=1536, storage=torch.float32))
+        for points, e in ((1000, 64), (1, 4))
+    )
     assert ptt.relative_rmse(lit(many), lit(few)) < 0.02
 
 
@@ -401,6 +503,10 @@ def test_refusals(small_raw: ptt.RawTransfer, small_bounced: ptt.RawTransfer, gl
         ptt.compress(small_raw, 32, glossy[0], ptt.BRDFBasis.fit(ptt.BRDFSpace.blinn_phong((1.0, 5.0)), 1))
     with pytest.raises(ValueError, match="must be at least 1"):
         ptt.Clusters(points=0)
+    with pytest.raises(ValueError, match="bytes and error exclude each other"):
+        ptt.Clusters(bytes=1e6, error=0.1)
+    with pytest.raises(ValueError, match="error must satisfy 0 < error < 1, got 1"):
+        ptt.Clusters(error=1.0)
     with pytest.raises(ValueError, match="storage must be one of float32, float16, bfloat16"):
         ptt.Clusters(storage=torch.float64)
     coarse = ptt.precompute(ptt.Scene.from_parts([plane("floor", 0.0)]), resolution=4)

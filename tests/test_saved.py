@@ -50,7 +50,7 @@ def test_clusters_round_trip_to_the_bit(clustered: Path, clustered_model: ptt.Tr
     light, eye = ptt.Environment.constant(1.0), torch.tensor([1.0, 2.0, 3.0])
     a, b = (ptt.TransferRelighter(m)(light, {}, eye) for m in (clustered_model, again))
     assert torch.equal(a, b)
-    assert again.truncation_error == clustered_model.truncation_error
+    assert (again.truncation_error, again.bounces) == (clustered_model.truncation_error, 2)
     again.save(clustered.with_name("again.safetensors"))
     assert clustered.with_name("again.safetensors").read_bytes() == clustered.read_bytes()
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+import ptt
+from ptt.cli import load_space
 from ptt.io import read_image
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
@@ -19,11 +21,15 @@ target = [0, 0.3, 0]
 [[region]]
 name = "floor"
 plane = { size = 3.0, cells = 8 }
+material = { model = "lambert", diffuse = 0.5 }
+editable = false
 [[region]]
 name = "ball"
 sphere = { subdivisions = 2, radius = 0.4 }
 translate = [0, 0.5, 0]
+material = { model = "blinn-phong", diffuse = 0.4, specular = 0.3, exponent = 12 }
 """
+COARSE = ("--ranks", 2, 4, 4, "--lobes", 2, "--functions", 2, "--eigenvectors", 8, "--lighting", 8, "--points", 100)
 
 
 def script(name: str, *arguments: object, status: int = 0) -> str:
@@ -40,12 +46,27 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     (folder / "scene.toml").write_text(SCENE)
     (folder / "precompute.toml").write_text(f'scene = "{folder / "scene.toml"}"\nresolution = 32\n')
-    out = script("precompute", "--config", folder / "precompute.toml", "--resolution", 16, "--out", folder)
+    flags = ("--resolution", 16, "--rays", 64, "--out", folder)
+    out = script("precompute", "--config", folder / "precompute.toml", *flags)
     assert "floor 81, ball 162" in out
-    assert json.loads((folder / "precompute.json").read_text())["resolution"] == 16  # flags override the file
-    out = script("compress", "--raw", folder / "raw.safetensors", "--ranks", 3, 8, 8)
-    assert "relative L2 error" in out and (folder / "compress.json").exists()
+    config = json.loads((folder / "precompute.json").read_text())
+    assert (config["resolution"], config["bounces"]) == (16, 2)  # flags override the file
+    out = script("compress", "--raw", folder / "raw.safetensors", *COARSE)
+    assert "relative L2 error" in out and "BRDF tensor (2, 4, 4) with 2 lobes, 2 functions" in out
+    assert "ball: 162 points, 2 clusters of 8 eigenvectors, " in out and "MB, lit by 1 slots and 3 pairs" in out
+    assert json.loads((folder / "compress.json").read_text())["space"] == "auto"
     return folder
+
+
+def test_compress_to_a_size_for_another_space(run: Path) -> None:
+    (run / "metal").mkdir()
+    raw = run / "metal" / "raw.safetensors"
+    raw.write_bytes((run / "raw.safetensors").read_bytes())
+    script("compress", "--raw", raw, "--space", "ward", *COARSE, "--bytes", 3e5, "--max-memory", 1)
+    model = ptt.TransferModel.load(raw.with_name("model.safetensors"))
+    assert {shape.model for shape in model.brdf.space.samples} == {"ward"}
+    stored = ("columns", "direct", "lighting", "one", "two")
+    assert 1.5e5 < sum(getattr(region, name).nbytes for region in model.clustered for name in stored) <= 3e5
 
 
 def test_relight_writes_pictures_and_errors(run: Path) -> None:
@@ -63,13 +84,15 @@ def test_relight_writes_pictures_and_errors(run: Path) -> None:
     assert read_image(run / "pictures" / "relight.png").shape == (3 * 48, 4 * 64, 3)
     report = json.loads((run / "pictures" / "relight.json").read_text())
     assert report["config"]["exponent"] == 16.0
-    assert all(report["states"][name]["relative_rmse"] < 0.5 for name in names)
+    assert all(report["states"][name]["relative_rmse"] < 0.3 for name in names)
 
 
 def test_evaluate_reports_each_region(run: Path) -> None:
     model, scene = run / "model.safetensors", run / "scene.toml"
     script("evaluate", "--model", model, "--scene", scene, "--environment", "constant", "--samples", 256)
-    errors = json.loads((run / "evaluate.json").read_text())["errors"]
+    result = json.loads((run / "evaluate.json").read_text())
+    assert result["config"]["bounces"] == 2  # as the model was made for
+    errors = result["errors"]
     assert set(errors) == {"all", "floor", "ball"}
     assert all(0 < e["relative_rmse"] < 0.2 for e in errors.values())
 
@@ -86,11 +109,13 @@ def test_help_teaches(name: str) -> None:
         ("precompute", ("--scene", "none.ply"), "path must be an existing file, got none.ply"),
         ("precompute", ("--resolution", "48"), "resolution must be a power of two from 2 to 128, got 48"),
         ("precompute", ("--config", "none.toml"), "--config needs an existing TOML file, got none.toml"),
+        ("precompute", ("--bounces", "3"), "bounces must be 0, 1 or 2"),
         ("compress", ("--raw", "none.safetensors"), "no file none.safetensors"),
+        ("compress", ("--bytes", "1e6", "--error", "0.1"), "bytes and error exclude each other"),
         ("evaluate", ("--model", "none.safetensors"), "no file none.safetensors"),
         ("relight", ("--environment", "none.hdr"), "none.hdr"),
         ("relight", ("--region", "nose"), "no region 'nose'; the scene has floor, knot, ball, slab"),
-        ("relight", ("--exponent", "900"), "exponent must be in 1..64"),
+        ("relight", ("--exponent", "900"), "exponent must be in 1..200"),
     ],
 )
 def test_bad_input_ends_in_one_line(name: str, arguments: tuple[str, ...], message: str) -> None:
@@ -101,4 +126,35 @@ def test_bad_input_ends_in_one_line(name: str, arguments: tuple[str, ...], messa
 def test_unknown_key_in_a_config(tmp_path: Path) -> None:
     (tmp_path / "c.toml").write_text("resolutoin = 3")
     out = script("precompute", "--config", tmp_path / "c.toml", status=2)
-    assert "unknown resolutoin; valid are scene, resolution, out" in out
+    assert "unknown resolutoin; valid are scene, resolution, bounces, rays, out" in out
+
+
+def test_the_space_of_a_scene() -> None:
+    """That of its own shapes; of several models none can be chosen."""
+    glossy, metal, brushed = ptt.blinn_phong(), ptt.cook_torrance(), ptt.ward(ax=0.1, ay=0.3)
+    for material, model in (
+        (ptt.lambert(), "blinn-phong"),
+        (glossy, "blinn-phong"),
+        (metal, "cook-torrance"),
+        (brushed, "ward"),
+        (ptt.ward(), "ward"),
+        (ptt.ggx(), "ggx"),
+    ):
+        space = load_space("auto", {"floor": ptt.lambert(), "ball": material})
+        assert {shape.model for shape in space.samples} == {model}
+        assert material.shape is None or len(space.coordinates(material.shape)) == len(space.samples)
+    with pytest.raises(
+        ValueError, match=r"one model of .*; the scene has floor blinn-phong, ball cook-torrance: change"
+    ):
+        load_space("auto", {"floor": glossy, "wall": ptt.lambert(), "ball": metal})
+    assert load_space("ggx", {"floor": glossy, "ball": metal}).samples[0].model == "ggx"
+
+
+@pytest.mark.parametrize("name", ["bunny", "suzanne", "dragon", "engine"])
+def test_the_scenes_have_a_space(name: str, data_dir: Path) -> None:
+    """Every material of the scenes in scripts/configs lies in the space that "auto" finds."""
+    materials = ptt.Scene.load(SCRIPTS / "configs" / f"{name}.toml").materials
+    space = load_space("auto", materials)
+    for material in materials.values():
+        if material.shape is not None:
+            space.coordinates(material.shape)

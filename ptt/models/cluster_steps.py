@@ -93,7 +93,7 @@ class ClusterSteps(nn.Module):
         out = Sent([], [])
         for r, (region, material) in enumerate(zip(self.model.clustered, materials, strict=True)):
             gloss, incident, light = self._gloss(material, lit), lit.direct[r], None
-            if region.slots:
+            if region.slots or region.pairs:
                 light = relight.bounced(lit.one[r], lit.two[r], h[:, region.slots], self._pairs(region, h))
                 incident = incident + light @ self.to_factors
             eigen = relight.exitant(matrix(self.model.brdf, material), incident)

@@ -79,6 +79,7 @@ class TransferModel(nn.Module):
     regions: a `ClusteredTransfer` each, or none: then kept, columns, values are the `SparseTransfer` of all points
     positions (v, 3), frames (v, 3, 3), colours (v, 3): of the receivers
     resolution: cells along an edge of the cube map
+    bounces: that are shown: 0 for direct light, 1 or 2
     truncation_error: relative L2 error of T0 that leaving out the other coefficients makes
     """
 
@@ -95,13 +96,14 @@ class TransferModel(nn.Module):
         brdf: TensorBRDF,
         basis: BRDFBasis | None,
         resolution: int,
+        bounces: int,
         sparse: SparseTransfer | None,
         regions: Sequence[ClusteredTransfer],
         truncation_error: float,
     ) -> None:
         super().__init__()
-        self.receivers, self.resolution, self.brdf, self.basis = receivers, resolution, brdf, basis
-        self.truncation_error, self.regions = truncation_error, nn.ModuleList(regions)
+        self.receivers, self.brdf, self.basis, self.regions = receivers, brdf, basis, nn.ModuleList(regions)
+        self.resolution, self.bounces, self.truncation_error = resolution, bounces, truncation_error
         for name, tensor in {**(sparse._asdict() if sparse else {}), **receivers.tensors()}.items():
             self.register_buffer(name, tensor)
 
@@ -133,6 +135,7 @@ class TransferModel(nn.Module):
         """Write a safetensors file with the config in its header."""
         config = {
             "resolution": self.resolution,
+            "bounces": self.bounces,
             "coefficients": None if len(self.regions) else len(self.values),
             "clustered": [region.config() for region in self.clustered],
             "functions": self.basis.mixture.shape[1] if self.basis else None,
@@ -157,7 +160,7 @@ class TransferModel(nn.Module):
             saved.check(tensors, _expected(config))
             space, resolution = BRDFSpace.from_config(config["space"]), config["resolution"]
             brdf, receivers = TensorBRDF(space, **_under("brdf.", tensors)), Receivers.restore(config, tensors)
-            error = config["truncation_error"]
+            bounces, error = config["bounces"], config["truncation_error"]
             if config["clustered"]:
                 basis = BRDFBasis(space, **_under("basis.", tensors))
                 slots = len(slots_of(receivers, config["functions"]))
@@ -165,10 +168,10 @@ class TransferModel(nn.Module):
                     ClusteredTransfer.restore(part, _under(f"regions.{r}.", tensors), Cube(resolution).cells, slots)
                     for r, part in enumerate(config["clustered"])
                 ]
-                return cls(receivers, brdf, basis, resolution, None, regions, error)
+                return cls(receivers, brdf, basis, resolution, bounces, None, regions, error)
             t0 = SparseTransfer(*(tensors[name] for name in SparseTransfer._fields))
             _check_rows(t0, Cube(resolution).cells)
-            return cls(receivers, brdf, None, resolution, t0, [], error)
+            return cls(receivers, brdf, None, resolution, bounces, t0, [], error)
 
 
 def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:

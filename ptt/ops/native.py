@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import math
 import os
 import subprocess
 import tempfile
@@ -44,7 +45,8 @@ class _Arguments(ctypes.Structure):
 
 def view(points: Points, eye: Tensor, outgoing: Tensor, sent: Tensor, gloss: Gloss | None) -> Tensor:
     """B (n, c), as `ptt.ops.view.view`; where a point is at the eye, its lobes are finite."""
-    if not _fits(points, eye, outgoing, sent, gloss) or not available():
+    kernel = _kernel() if _fits(points, eye, outgoing, sent, gloss) else None
+    if kernel is None:
         return plain.view(points, eye, outgoing, sent, gloss)
     b, c, rows, width = sent.shape
     outgoing, eye = outgoing.contiguous(), eye.contiguous()
@@ -59,7 +61,7 @@ def view(points: Points, eye: Tensor, outgoing: Tensor, sent: Tensor, gloss: Glo
         numbers |= {"cells": _side(points.cuts.shape[1]), "map": _side(len(gloss.maps))}
     pointers = {name: tensor.data_ptr() for name, tensor in tensors.items()}
     arguments = _Arguments(out=out.data_ptr(), **pointers, **numbers)
-    _kernel().ptt_view(ctypes.byref(arguments), 0 if gloss is None else len(gloss.which))
+    kernel.ptt_view(ctypes.byref(arguments), 0 if gloss is None else len(gloss.which))
     return out
 
 
@@ -101,7 +103,7 @@ def _differentiated(t: Tensor) -> bool:
 
 
 def _side(cells: int) -> int:
-    return round(cells**0.5)
+    return round(math.sqrt(cells))
 
 
 def _square(cells: int) -> bool:
@@ -117,7 +119,7 @@ def _kernel() -> ctypes.CDLL | None:
         reason = error.stderr.strip() or str(error)
     except Exception as error:  # torch has a class of its own for a missing compiler, in a private place
         reason = str(error)
-    warnings.warn(f"no C++ compiler, relighting stays eager: {reason}", UserWarning, stacklevel=4)
+    warnings.warn(f"no C++ compiler, relighting stays eager: {reason}", UserWarning, stacklevel=3)
     return None
 
 

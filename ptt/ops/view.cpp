@@ -4,13 +4,14 @@
 //             + specular[c] sum over k of  rho_k(wo) (E_k[c, mirror] cut_k[v, mirror]
 //                                                     + sum over s of  z_k[s] Y_s(mirror) I[c, s, v])
 //
-// Points go LANES at a time, one in each lane of a vector. `look` finds where a group looks and fetches its words of the
-// cuts ahead of time; `shade` sums, AHEAD groups later. Indices are clamped, so that no input reads out of bounds.
+// Points go LANES at a time, one in each lane of a vector. `look` finds where a group looks and fetches its words of
+// the cuts ahead of time; `shade` sums, AHEAD groups later. Indices are clamped, so that no input reads out of bounds.
 
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <cstring>
-#include <cmath>
-#include <algorithm>
+
 #include <omp.h>
 
 #if defined(__AVX512F__)
@@ -21,11 +22,8 @@ constexpr int LANES = 8;
 #else
 constexpr int LANES = 4;
 #endif
-#ifndef AHEAD_
-#define AHEAD_ 4
-#endif
-constexpr int AHEAD = AHEAD_;   // groups
-constexpr int DEGREES = 16;     // harmonics of order 4
+constexpr int AHEAD = 2;        // groups
+constexpr int HARMONICS = 16;   // of order 4
 constexpr float TINY = 1e-30f;
 
 typedef float Lanes __attribute__((vector_size(4 * LANES)));
@@ -133,7 +131,8 @@ struct Corners {  // of a bilinear lookup
 // ptt.ops.octahedral.corners
 static inline Corners corners(Lanes a, Lanes b, int n, bool wrap) {
     const float half = 0.5f * n;
-    Lanes x = least(most((a + 1.0f) * half - 0.5f, all(-1)), all(n)), y = least(most((b + 1.0f) * half - 0.5f, all(-1)), all(n));
+    Lanes x = least(most((a + 1.0f) * half - 0.5f, all(-1)), all(n));
+    Lanes y = least(most((b + 1.0f) * half - 0.5f, all(-1)), all(n));
     Ints column = whole(x + 1.0f) - 1, row = whole(y + 1.0f) - 1;  // floor
     x -= real(column), y -= real(row);
     Corners at;
@@ -160,7 +159,7 @@ static inline Lanes angle(Lanes s, Lanes z) {
     return p * t + 0.78539816f;
 }
 
-// The next harmonics of order 4, times their coefficients: ptt.ops.harmonics.evaluate
+// ptt.ops.harmonics.evaluate, of order 4
 static inline void harmonics(Lanes x, Lanes y, Lanes z, Lanes *out) {
     Lanes zz = z * z, two = x * y, cos2 = x * x - y * y, five = 5.0f * zz - 1.0f;
     out[0] = all(0.28209479177387814f);
@@ -194,8 +193,9 @@ static inline void look(const Arguments &g, int64_t v, Look &at) {
         toward[c] = g.distant ? load(g.eye + c * n + v) : g.eye[c] - load(g.position + c * n + v);
         length += toward[c] * toward[c];
     }
+    const Lanes scale = 1.0f / root(most(length, all(TINY)));
     if (!g.distant)
-        for (auto &t : toward) t /= root(most(length, all(TINY)));
+        for (auto &t : toward) t *= scale;
     Lanes normal[3];
     for (int r = 0; r < 3; ++r) {
         at.wo[r] = all(0);
@@ -203,8 +203,8 @@ static inline void look(const Arguments &g, int64_t v, Look &at) {
     }
     for (int c = 0; c < 3; ++c) at.axis[c] = 2.0f * at.wo[2] * normal[c] - toward[c];
     if (K == 0) return;
-    Lanes x = -at.wo[0], y = -at.wo[1], scale = 1.0f / most(size(x) + size(y) + size(at.wo[2]), all(TINY));
-    at.cut = corners((x + y) * scale, (x - y) * scale, g.cells, false);
+    Lanes x = -at.wo[0], y = -at.wo[1], flat = 1.0f / most(size(x) + size(y) + size(at.wo[2]), all(TINY));
+    at.cut = corners((x + y) * flat, (x - y) * flat, g.cells, false);
     const int stride = g.cells * g.cells;
     for (int j = 0; j < 4; j += 2)
         for (int l = 0; l < LANES; ++l) __builtin_prefetch(g.cuts + (v + l) * stride + at.cut.cell[j][l]);
@@ -215,12 +215,17 @@ static inline void shade(const Arguments &g, int64_t v, const Look &at) {
     const int w = g.width, o = g.factors;
     const float *sent = g.sent + (v / w * 3 * g.rows) * w + v % w;
     const float *q[3] = {sent, sent + g.rows * w, sent + 2 * g.rows * w};
-    Lanes out[3] = {load(q[0]), load(q[1]), load(q[2])};
+    const int64_t next = 3 * g.rows * w;
+    const auto stream = [=](const float *p) {
+        __builtin_prefetch(p + next);  // the next block's
+        return load(p);
+    };
+    Lanes out[3] = {stream(q[0]), stream(q[1]), stream(q[2])};
     if (o > 1) {
         Corners on = corners(at.wo[0], at.wo[1], g.disk, false);
         for (auto &cell : on.cell) cell *= o - 1;
         mix(g.outgoing, o - 1, on.cell, on.weight, [&](int f, Lanes factor) {
-            for (int c = 0; c < 3; ++c) out[c] += factor * load(q[c] + (1 + f) * w);
+            for (int c = 0; c < 3; ++c) out[c] += factor * stream(q[c] + (1 + f) * w);
         });
     }
     if constexpr (K > 0) {
@@ -241,7 +246,8 @@ static inline void shade(const Arguments &g, int64_t v, const Look &at) {
         }
 
         Lanes d[3];  // the mirror direction on the map, turned with the light
-        for (int c = 0; c < 3; ++c) d[c] = at.axis[0] * g.turn[c] + at.axis[1] * g.turn[3 + c] + at.axis[2] * g.turn[6 + c];
+        for (int c = 0; c < 3; ++c)
+            d[c] = at.axis[0] * g.turn[c] + at.axis[1] * g.turn[3 + c] + at.axis[2] * g.turn[6 + c];
         Lanes scale = 1.0f / most(size(d[0]) + size(d[1]) + size(d[2]), all(TINY));
         for (auto &e : d) e *= scale;
         Lanes a = d[2] < 0 ? signed_as(1.0f - size(d[1]), d[0]) : d[0];
@@ -254,13 +260,13 @@ static inline void shade(const Arguments &g, int64_t v, const Look &at) {
         for (int k = 0; k < K; ++k)
             for (int c = 0; c < 3; ++c) lit[c] += rho[k] * cut[k] * (1.0f / 255) * light[3 * k + c];
         if (g.harmonics) {
-            Lanes basis[DEGREES];
+            Lanes basis[HARMONICS];
             harmonics(x, y, z, basis);
-            for (int s = 0; s < DEGREES; ++s) {
+            for (int s = 0; s < HARMONICS; ++s) {
                 Lanes blur = rho[0] * g.blurs[s];
-                for (int k = 1; k < K; ++k) blur += rho[k] * g.blurs[k * DEGREES + s];
+                for (int k = 1; k < K; ++k) blur += rho[k] * g.blurs[k * HARMONICS + s];
                 blur *= basis[s];
-                for (int c = 0; c < 3; ++c) lit[c] += blur * load(q[c] + (o + s) * w);
+                for (int c = 0; c < 3; ++c) lit[c] += blur * stream(q[c] + (o + s) * w);
             }
         }
         for (int c = 0; c < 3; ++c) out[c] += lit[c] * g.specular[c];
@@ -277,12 +283,7 @@ static void run(const Arguments &g) {
         const int64_t t = omp_get_thread_num(), of = omp_get_num_threads();
         const int64_t first = groups * t / of, end = groups * (t + 1) / of;
         Look at[AHEAD];
-        const int64_t share = 3 * g.rows * LANES;
         for (int64_t i = first - AHEAD; i < end; ++i) {
-#ifdef STREAM
-            const char *soon = (const char *)(g.sent + (i + STREAM) * share);
-            for (int64_t j = 0; j < share * 4; j += 64) __builtin_prefetch(soon + j);
-#endif
             if (i >= first) shade<K>(g, i * LANES, at[(i + AHEAD) % AHEAD]);
             if (i + AHEAD < end) look<K>(g, (i + AHEAD) * LANES, at[(i + AHEAD) % AHEAD]);
         }

@@ -101,7 +101,8 @@ def _through(cuts: Tensor, mirror: Tensor, which: Tensor) -> Tensor:
 
 def _blocks(values: Tensor, like: Tensor) -> Tensor:
     """Values (x, n) as (b, x, w)."""
-    return values.unflatten(1, (len(like), -1)).transpose(0, 1)
+    blocks: Tensor = values.unflatten(1, (len(like), like.shape[-1])).transpose(0, 1)
+    return blocks
 
 
 def _side(table: Tensor) -> int:
