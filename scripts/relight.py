@@ -46,9 +46,13 @@ class Config:
     """Turn of the camera about its target, degrees."""
     bounces: int = 2
     """Reflections before the last one, where the scene is traced here; with --model, those that it was made for."""
+    rays: int = 128
+    """Over the hemisphere of each vertex, for light that bounces, where the scene is traced here."""
+    functions: int = 2
+    """Specular functions by which light is reflected on its way, where the scene is compressed here."""
     coefficients: int = 96
     """Haar coefficients kept for each vertex and incident factor, where the scene is compressed here."""
-    samples: int = 64
+    samples: int = 16
     """Light paths of the reference for each pixel, 4 times as many for each vertex; 0 leaves it out."""
     exposure: float | None = None
     """Stops that brighten the PNGs; default: those that bring the brightest twentieth of "before" to white."""
@@ -76,9 +80,10 @@ def main() -> None:
     if config.model is None:
         space = load_space("auto", scene.materials | {region: edited})
         space.coordinates(shape)
-        raw = ptt.precompute(scene, config.bounces, progress=True)
+        raw = ptt.precompute(scene, config.bounces, rays=config.rays, progress=True)
         brdf = ptt.TensorBRDF.fit(space, ranks=(4, 16, 16), separated=3)
-        model = ptt.compress(raw, config.coefficients, brdf, progress=True)
+        basis = ptt.BRDFBasis.fit(space, config.functions)
+        model = ptt.compress(raw, config.coefficients, brdf, basis, progress=True)
     else:
         model = ptt.TransferModel.load(config.model)
         model.brdf.space.coordinates(shape)

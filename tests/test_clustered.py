@@ -21,6 +21,7 @@ from ptt.clustering import _eigenvectors_for, _Region
 from ptt.meshes import Part
 from ptt.models import light_maps, slots
 from ptt.ops import haar, harmonics, lobes, mesh, octahedral
+from ptt.ops.sphere import Cube
 
 SKY = ptt.Environment(
     nn.functional.avg_pool2d(ptt.Environment.sun_sky(radius=10.0).map.movedim(-1, 0), 8).movedim(0, -1)
@@ -148,7 +149,7 @@ def tiny() -> ptt.RawTransfer:
 
 def test_as_many_eigenvectors_as_points_are_exact(tiny: ptt.RawTransfer, monkeypatch: pytest.MonkeyPatch) -> None:
     """One cluster a region, nothing left out: every point's own T0, to float32, under the same texels."""
-    monkeypatch.setattr(light_maps, "texels", lambda fine, turn, grid: SKY.project(grid))
+    monkeypatch.setattr(light_maps, "texels", lambda *_: SKY.project(Cube(16)).reshape(-1, 3))
     space = ptt.BRDFSpace.blinn_phong((2.0, 8.0, 32.0))
     brdf, basis = ptt.TensorBRDF.fit(space, ranks=(3, 4, 4), separated=0), ptt.BRDFBasis.fit(space, 1)
     direct = tiny.part(slice(None))

@@ -17,7 +17,7 @@ from ptt.models.clustered_transfer import ClusteredTransfer
 from ptt.models.light_maps import LightMaps
 from ptt.models.point_steps import matrix
 from ptt.models.transfer_model import TransferModel
-from ptt.ops import haar, harmonics, relight, view
+from ptt.ops import haar, harmonics, native, relight, view
 from ptt.ops.view import Gloss, Points
 
 TINY = 1e-30
@@ -47,7 +47,8 @@ class ClusterSteps(nn.Module):
     to_factors: Tensor
     to_harmonics: Tensor
     blurs: Tensor
-    outgoing: Tensor
+    directions: Tensor
+    shares: Tensor
 
     def __init__(self, model: TransferModel, compiled: bool) -> None:
         super().__init__()
@@ -64,7 +65,9 @@ class ClusterSteps(nn.Module):
             if bool((colours != 1).any()):
                 self.register_buffer(f"colour{r}", region.in_line(colours), persistent=False)
         self._prepared = Cache()
-        self._view = relight.compiled(view.view) if compiled else view.view
+        for name, samples in zip(("directions", "shares"), light_maps.samples(model.grid), strict=True):
+            self.register_buffer(name, samples, persistent=False)
+        self._view = native.view if compiled else view.view
         self._texels = relight.compiled(light_maps.texels) if compiled else light_maps.texels
 
     def incident(self, environment: Environment) -> Lit:
@@ -72,7 +75,8 @@ class ClusterSteps(nn.Module):
         angles, dtype = self.model.brdf.angles, self.to_factors.dtype
         maps: LightMaps = self._prepared(environment.map, lambda: light_maps.light_maps(environment, angles))
         turn = environment.rotation.to(self.to_factors)
-        texels = self._texels(maps.fine.to(dtype), turn, self.model.grid).movedim(-1, 0)  # shape: (c, 6, n, n)
+        texels = self._texels(maps.fine.to(dtype), turn, self.directions, self.shares)
+        texels = texels.reshape(*self.model.grid.shape, 3).movedim(-1, 0)  # shape: (c, 6, n, n)
         peak = texels.detach().abs().amax().clamp(min=TINY)  # 16 bits hold no sun
         haared = haar.analyse(texels / peak)
         fine, coarse, coarsest = (haared[..., :n, :n].flatten(1) for n in (texels.shape[-1], COARSE, COARSEST))

@@ -17,15 +17,27 @@ Direct transfer, per texel t of a cube map (`transfer`; rays by `raycast`), and 
     T0[v, i, t] = V[v, t] u_i[i, t] max(n . w_t, 0) dw_t           T0[v, i, l] = Haar of T0[v, i, t] over t
     sum over t of L[t] T0[v, i, t]  =  sum over l of L[l] T0[v, i, l],  since the basis is orthonormal
 
-Relighting (equation 3; `relight`), in the order of what changes:
+Transfer after one and two reflections (section 3.1; `ptt.bounces`), q a slot: a region and a function f_q that it
+reflects by, Z_s harmonics that are orthonormal on the hemisphere with the cosine (`harmonics.hemispherical`), y what v
+sees along w:
 
-    U[c, i, v] = sum over l of L[l, c] T0[v, i, l]          light
-    Q[c, o, v] = sum over i of M[c, r(v), o, i] U[c, i, v]  BRDF: M is the core at a material's coordinates and weights
-    B[v, c]    = sum over o of V[o, v] Q[c, o, v]           view: V is u_o in the point's view direction
+    T1[v, q, s, l]     = integral of  Z_s(w) (w . n)  sum over i of f_q[y, -w, i] T0[y, i, l]  dw
+    T2[v, q', q, l]    = integral of  Z_0 (w . n)  sum over s of  f_q'[y, -w, s] T1[y, q, s, l]  dw
+    I[v, s, c]         = sum over q, l of H[q, c] L[l, c] T1
+                       + sum over q, q', l of H[q, c] H[q', c] L[l, c] T2  where s = 0
+
+by clusters of points (section 4.3; `cpca`): T[v] ~ sum over e of w[v, e] T[e], e the eigen-points of v's cluster.
+
+Relighting (equation 3; `relight`, `view`), in the order of what changes:
+
+    U[c, i] = sum over l of L[l, c] T0[i, l]                                    light; T1 and T2 alike
+    Q[c, o] = sum over i of M[c, o, i] (U[c, i] + sum over s of C[s, i] I[s, c])  BRDF: M is the core at a material's
+                                                                                 coordinates, C Z_s seen by a factor
+    B[v, c] = sum over o of V[o, v] Q[c, o, v]  +  lobes                        view: V is u_o in the view direction
 
 Departures from the paper: the cosine weights of each point are scaled so that its hemisphere sums to pi; coefficients
-of T0 are shared out among the factors of a point by what each adds to the picture (`ptt.compress`); lobes take over all
-light that the smooth remainder lacks (`lobes`).
+of T0 are shared out among the factors of a point by what each adds to the picture (`ptt.assembly`); lobes take over all
+light that the smooth remainder lacks (`lobes`); indirect light arrives in harmonics of the hemisphere, not the sphere.
 
 Example, the integral of a constant over the sphere, in wavelets:
     >>> import torch

@@ -23,6 +23,7 @@ from ptt.ops import harmonics, lobes
 from ptt.ops.octahedral import corners, hemi_octahedral, octahedral
 
 BYTE = 255.0
+NEAR = 1e-12  # an eye in a point looks along its normal
 
 
 class Points(NamedTuple):
@@ -79,7 +80,7 @@ def directions(points: Points, eye: Tensor) -> tuple[Tensor, Tensor]:
     """Local directions to the eye (3, n), and the mirror directions in the world (3, n)."""
     toward = eye
     if eye.ndim == 1:
-        away = eye[:, None] - points.position
+        away = eye[:, None] - points.position + NEAR * points.frame[2]
         toward = away * away.square().sum(0).clamp(min=1e-30).rsqrt()
     wo = (points.frame * toward).sum(1)
     return wo, 2 * wo[2] * points.frame[2] - toward
