@@ -4,7 +4,7 @@
     python scripts/relight.py --model runs/bunny/model.safetensors --scene bunny.ply --environment uffizi.hdr
     python scripts/relight.py --region ball --exponent 40 --specular 0.8 0.6 0.3
 
-Without --model the scene is traced and compressed first (20 s on two cores for the default one). Writes to OUT:
+Without --model the scene is traced and compressed first (a minute on two cores for the default one). Writes to OUT:
 before, material, light and view as .exr and .png, relight.png (all four over their path-traced references and the
 differences, brightened), and relight.json (the config, times, and errors against the reference).
 """
@@ -53,7 +53,7 @@ class Config:
     coefficients: int = 96
     """Haar coefficients kept for each vertex and incident factor, where the scene is compressed here."""
     samples: int = 16
-    """Light paths of the reference for each pixel, 4 times as many for each vertex; 0 leaves it out."""
+    """Light paths of the reference for each pixel, 16 times as many for each vertex; 0 leaves it out."""
     exposure: float | None = None
     """Stops that brighten the PNGs; default: those that bring the brightest twentieth of "before" to white."""
     width: int = 480
@@ -132,7 +132,7 @@ def judge(scene, environment, materials, view, radiance, picture, settings):
     """
     bounces, samples = settings
     every = scene, environment, materials, view
-    truth = ptt.reference.at_vertices(*every, bounces=bounces, samples=4 * samples)
+    truth = ptt.reference.at_vertices(*every, bounces=bounces, samples=16 * samples)
     facing = (view.toward(scene.vertices) * scene.normals).sum(1) > 0
     image = ptt.reference.image(*every, bounces=bounces, samples=samples).mean.float()
     difference = 4 * (picture.pixels - image).abs()
