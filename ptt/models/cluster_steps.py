@@ -13,7 +13,6 @@ from ptt.environment import Environment
 from ptt.materials import Material
 from ptt.models import light_maps, slots
 from ptt.models.cache import Cache
-from ptt.models.clustered_transfer import ClusteredTransfer
 from ptt.models.light_maps import LightMaps
 from ptt.models.point_steps import matrix
 from ptt.models.transfer_model import TransferModel
@@ -58,13 +57,15 @@ class ClusterSteps(nn.Module):
         self.register_buffer("blurs", blurs(model.brdf.angles).float(), persistent=False)
         for r, (region, (first, end)) in enumerate(zip(model.clustered, model.receivers.spans, strict=True)):
             own = slice(first, end)
-            self.register_buffer(f"weights{r}", region.weights.float(), persistent=False)
+            pairs = torch.tensor(region.pairs, dtype=torch.int64).reshape(-1, 2)
+            self.register_buffer(f"slots{r}", torch.tensor(region.slots, dtype=torch.int64), persistent=False)
+            self.register_buffer(f"pairs{r}", pairs, persistent=False)
             self.register_buffer(f"position{r}", region.in_line(model.positions[own]), persistent=False)
             self.register_buffer(f"frame{r}", region.in_line(model.frames[own]), persistent=False)
             colours = model.colours[own]
             if bool((colours != 1).any()):
                 self.register_buffer(f"colour{r}", region.in_line(colours), persistent=False)
-        self._prepared = Cache()
+        self.slots, self._prepared = model.slots, Cache()
         for name, samples in zip(("directions", "shares"), light_maps.samples(model.grid), strict=True):
             self.register_buffer(name, samples, persistent=False)
         self._view = native.view if compiled else view.view
@@ -84,7 +85,8 @@ class ClusterSteps(nn.Module):
         for region in self.model.clustered:
             e, q = region.eigenvectors, len(region.slots)
             reduced = coarse @ region.lighting.transpose(1, 2)  # shape: (k, c, n)
-            direct = relight.light_eigen(region.direct, fine[:, region.columns].transpose(0, 1)).mul(peak)
+            own = fine.index_select(1, region.columns.flatten()).unflatten(1, region.columns.shape).transpose(0, 1)
+            direct = relight.light_eigen(region.direct, own).mul(peak)
             lit.direct.append(direct.unflatten(2, (e, -1)))
             lit.one.append(relight.light_eigen(region.one, reduced).mul(peak).unflatten(2, (q, e, ORDER**2)))
             lit.two.append(relight.light_eigen(region.two, coarsest).mul(peak).unflatten(2, (len(region.pairs), e)))
@@ -93,28 +95,25 @@ class ClusterSteps(nn.Module):
     def exitant(self, lit: Lit, materials: Sequence[Material]) -> Sent:
         """BRDF step."""
         assert self.model.basis is not None
-        h = slots.coefficients(self.model.slots, self.model.basis, materials).T
+        h = slots.coefficients(self.slots, self.model.basis, materials).T  # shape: (c, q)
         out = Sent([], [])
         for r, (region, material) in enumerate(zip(self.model.clustered, materials, strict=True)):
             gloss, incident, light = self._gloss(material, lit), lit.direct[r], None
             if region.slots or region.pairs:
-                light = relight.bounced(lit.one[r], lit.two[r], h[:, region.slots], self._pairs(region, h))
+                last, first = self.get_buffer(f"pairs{r}").T
+                own = h[:, self.get_buffer(f"slots{r}")]
+                light = relight.bounced(lit.one[r], lit.two[r], own, h[:, last] * h[:, first])
                 incident = incident + light @ self.to_factors
             eigen = relight.exitant(matrix(self.model.brdf, material), incident)
             if light is not None and gloss is not None:
                 eigen = torch.cat((eigen, light @ self.to_harmonics), 3)
-            sent = relight.expand(eigen, self.get_buffer(f"weights{r}"), region.cluster)
+            sent = relight.expand(eigen, region.weights, region.cluster)
             if f"colour{r}" in self._buffers:
                 colour = self.get_buffer(f"colour{r}").unflatten(1, (len(sent), -1)).transpose(0, 1)  # shape: (b, c, w)
                 sent = torch.cat((sent[:, :, :1] * colour[:, :, None], sent[:, :, 1:]), 2)
             out.sent.append(sent)
             out.gloss.append(gloss)
         return out
-
-    def _pairs(self, region: ClusteredTransfer, h: Tensor) -> Tensor:
-        """H of both slots of each pair (c, pairs)."""
-        last, first = torch.tensor(region.pairs, dtype=torch.int64, device=h.device).reshape(-1, 2).T
-        return h[:, last] * h[:, first]
 
     def _gloss(self, material: Material, lit: Lit) -> Gloss | None:
         """The lobes that a material has."""
@@ -124,7 +123,8 @@ class ClusterSteps(nn.Module):
         which = torch.nonzero(tables.detach().abs().amax((1, 2)) > DULL)[:, 0]
         if not len(which):
             return None
-        rho, maps = tables[which].flatten(1).T.contiguous(), lit.maps[:, which].flatten(1)
+        maps = lit.maps if len(which) == len(tables) else lit.maps[:, which]
+        rho, maps = tables[which].flatten(1).T.contiguous(), maps.flatten(1)
         specular = material.specular.to(rho)
         return Gloss(which, rho, tables.shape[2], specular, maps, lit.turn, self.blurs[which])
 

@@ -58,7 +58,7 @@ def exitant(matrix: Tensor, incident: Tensor) -> Tensor:
 
 def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Tensor:
     """Values (b, c, x, w) of points from those of eigen-points (k, c, e, x), weights (b, e, w) and cluster (b,)."""
-    rows = eigen.transpose(2, 3).flatten(1, 2)[cluster]  # shape: (b, c * x, e)
+    rows = eigen.transpose(2, 3).flatten(1, 2).index_select(0, cluster)  # shape: (b, c * x, e)
     sent: Tensor = (rows @ weights).unflatten(1, (eigen.shape[1], eigen.shape[3]))
     return sent
 
