@@ -37,6 +37,7 @@ import ptt
 from bench.table import ROOT, Table, median_seconds, read_bandwidth, setting
 from bench.uncompressed import Uncompressed
 from ptt.meshes import Part
+from ptt.models.clustered_transfer import WIDTH
 from ptt.ops import mesh
 
 IMAGES = ROOT / "docs" / "images"
@@ -314,7 +315,9 @@ def caustic(name: str) -> list[dict[str, str]]:
     raw = ptt.precompute(scene, 2, progress=True)
     space = ptt.BRDFSpace.blinn_phong()
     brdf, basis = ptt.TensorBRDF.fit(space, ranks=(4, 16, 16), separated=3), ptt.BRDFBasis.fit(space)
-    model = ptt.compress(raw, 96, brdf, basis, OWN, progress=True)
+    transfer = ptt.assemble(raw, brdf, basis, 96, progress=True)
+    model = ptt.cluster(transfer, OWN, progress=True)
+    seams(table, scene, light, model, ptt.cluster(transfer, replace(OWN, points=100, eigenvectors=96, columns=4096)))
     relighters = [ptt.TransferRelighter(without_bounces(model, most)) for most in range(3)]
     strips = []
     for kind, material in (("shiny", ptt.blinn_phong(0.05, 0.9, 100.0)), ("dull", ptt.blinn_phong(0.5, 0.1, 4.0))):
@@ -334,6 +337,26 @@ def caustic(name: str) -> list[dict[str, str]]:
         table.row(f"caustic, {kind} ring, brightest over the reference's", peak, "", f"{how}; its 99.9 % quantile")
     ptt.Image(torch.cat(strips)).save(IMAGES / "transfer_caustic.png", ptt.Image(strips[0]).exposure())
     return table.rows
+
+
+def seams(
+    table: Table, scene: ptt.Scene, light: ptt.Environment, model: ptt.TransferModel, finer: ptt.TransferModel
+) -> None:
+    """How far the error jumps along the ring's edges where they cross from one cluster to the next, and elsewhere."""
+    rough = dressed(scene, ptt.blinn_phong(0.4, 0.3, 12.0))
+    ours, truth = (ptt.TransferRelighter(m)(light, rough, scene.camera) for m in (model, finer))
+    region = model.clustered[0]
+    cluster = region.cluster[region.place // WIDTH]
+    first, end = model.receivers.spans[0]
+    faces = scene.faces[(scene.faces < end).all(1)]
+    a, b = torch.cat((faces[:, [0, 1]], faces[:, [1, 2]])).T
+    error = ours - truth
+    step = (error[a] - error[b]).norm(dim=1).square()
+    crossing = cluster[a] != cluster[b]
+    size = truth[first:end].norm(dim=1).square().mean().sqrt()
+    how = "root mean square of the difference of errors along an edge over that of the radiance; ring, exponent 12"
+    table.row("caustic, seams, edges between clusters", float(step[crossing].mean().sqrt() / size), "", how)
+    table.row("caustic, seams, edges within clusters", float(step[~crossing].mean().sqrt() / size), "", how)
 
 
 STEPS = count(1)  # no two frames are alike
