@@ -256,7 +256,8 @@ def right(
         spread = [estimate.standard_error.square().sum() for estimate in truth]
         noise = float(spread[1].sqrt() / whole.norm()), float((spread[0] + spread[1]).sqrt() / indirect.norm())
         how = f"{len(rows)} vertices, {samples} samples, noise of the reference {noise[0]:.4f} in total "
-        how += f"and {noise[1]:.3f} in its indirect part, which is {float(indirect.norm() / whole.norm()):.3f} of it; {material.shape}"
+        how += f"and {noise[1]:.3f} in its indirect part, "
+        how += f"which is {float(indirect.norm() / whole.norm()):.3f} of it; {material.shape}"
         smooth = kind != "mirror-like"
 
         found = {}
