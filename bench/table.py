@@ -73,7 +73,7 @@ def draw(text: str) -> str:
         kind, topic, prefix = match[1], match[2], match[3] or ""
         with (ROOT / "bench" / "results" / f"{topic}.csv").open() as file:
             rows = [row for row in csv.DictReader(file) if row["what"].startswith(prefix)]
-        lines = _listed(rows) if kind == "table" else _laid_out(rows, prefix)
+        lines = (_listed(rows) if kind == "table" else _laid_out(rows, prefix)) if rows else ["not measured yet"]
         return f"<!-- {kind}: {topic}{' ' + prefix if prefix else ''} -->\n" + "\n".join(lines) + "\n<!-- end -->"
 
     return re.sub(r"<!-- (table|matrix): (\w+)(?: ([^>]+?))? -->\n.*?<!-- end -->", table, text, flags=re.DOTALL)
