@@ -209,7 +209,10 @@ def responses(brdf: TensorBRDF) -> Tensor:
 
 @cache
 def _mirrored(angles: tuple[float, ...], resolution: int) -> Tensor:
-    """Mean light about the cells of MIRRORS under each lobe (cells, k, l), of a cube map's coarse Haar coefficients."""
+    """Mean light about the cells of MIRRORS under each lobe (cells, k, l), of a cube map's coarse Haar coefficients.
+
+    The lobe of 0 degrees as that of 7: both are narrower than the cells of the lighting.
+    """
     if not angles:
         return torch.zeros(MIRRORS.cells, 0, 6 * COARSE**2)
     fine, solid = SMOOTH.directions().reshape(-1, 3).float(), SMOOTH.solid_angles().flatten().float()

@@ -39,7 +39,7 @@ class TransferRelighter(nn.Module):
         super().__init__()
         self.model = model
         self.steps = (ClusterSteps if len(model.regions) else PointSteps)(model, compiled)
-        self._incident, self._exitant, self._radiance = Cache(), Cache(), Cache()
+        self._incident, self._exitant = Cache(), Cache()
 
     def forward(self, environment: Environment, materials: Mapping[str, Material], view: View) -> Tensor:
         """Radiance (v, 3) of every point toward the viewer.

@@ -26,7 +26,7 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor
 
-from ptt.ops.sphere import Grid, _centres, _checked, _index, _pairs, _positive, _unit
+from ptt.ops.sphere import Grid, at_least_one, centres, checked_directions, crossed, step_index, unit
 
 
 def octahedral(d: Tensor) -> Tensor:
@@ -72,7 +72,7 @@ class _Unfolded(Grid):
         return self.n, self.n
 
     def refine(self, k: int) -> Self:
-        return replace(self, n=self.n * _positive("k", k))
+        return replace(self, n=self.n * at_least_one("k", k))
 
     @abstractmethod
     def _chart(self, d: Tensor) -> Tensor:
@@ -83,21 +83,21 @@ class _Unfolded(Grid):
         """Points (..., 3) of the octahedron, the inverse of `_chart`."""
 
     def cell(self, directions: Tensor) -> Tensor:
-        a, b = self._chart(_checked(directions)).unbind(-1)
-        return _index((b + 1) / 2, self.n) * self.n + _index((a + 1) / 2, self.n)
+        a, b = self._chart(checked_directions(directions)).unbind(-1)
+        return step_index((b + 1) / 2, self.n) * self.n + step_index((a + 1) / 2, self.n)
 
     def _directions(self, rows: Tensor, columns: Tensor) -> Tensor:
-        return _unit(self._points(*_pairs(2 * _centres(rows) - 1, 2 * _centres(columns) - 1)))
+        return unit(self._points(*crossed(2 * centres(rows) - 1, 2 * centres(columns) - 1)))
 
     def _solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
         # both diagonals cut a cell in four triangles, none of which has a fold inside
         b, a = 2 * rows - 1, 2 * columns - 1
-        corner, centre = self._points(*_pairs(b, a)), self._points(*_pairs(_centres(b), _centres(a)))
+        corner, centre = self._points(*crossed(b, a)), self._points(*crossed(centres(b), centres(a)))
         around = corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]
         # p . (q x r) is twice a triangle's area in the plane of x and y, as |x| + |y| + |z| = 1: no cancellation
         volume = self._scale / 2 * b.diff()[:, None] * a.diff()
-        pairs = zip(around, (*around[1:], around[0]), strict=True)
-        return torch.stack([_triangle(centre, p, q, volume) for p, q in pairs]).sum(0)
+        sides = zip(around, (*around[1:], around[0]), strict=True)
+        return torch.stack([_triangle(centre, p, q, volume) for p, q in sides]).sum(0)
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class HemiOctahedral(_Unfolded):
     _scale = 0.5
 
     def __post_init__(self) -> None:
-        _positive("n", self.n)
+        at_least_one("n", self.n)
 
     def _chart(self, d: Tensor) -> Tensor:
         return hemi_octahedral(d)

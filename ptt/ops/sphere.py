@@ -114,30 +114,30 @@ class LatLong(Grid):
     width: int
 
     def __post_init__(self) -> None:
-        _positive("height", self.height)
-        _positive("width", self.width)
+        at_least_one("height", self.height)
+        at_least_one("width", self.width)
 
     @property
     def shape(self) -> tuple[int, int]:
         return self.height, self.width
 
     def refine(self, k: int) -> LatLong:
-        return LatLong(self.height * _positive("k", k), self.width * k)
+        return LatLong(self.height * at_least_one("k", k), self.width * k)
 
     def cell(self, directions: Tensor) -> Tensor:
-        x, y, z = _checked(directions).unbind(-1)
+        x, y, z = checked_directions(directions).unbind(-1)
         u = torch.atan2(x, -z) / (2 * pi)
         v = torch.atan2(torch.hypot(x, z), y) / pi
         column = (u % 1.0 * self.width).long() % self.width
-        return _index(v, self.height) * self.width + column
+        return step_index(v, self.height) * self.width + column
 
     def _directions(self, rows: Tensor, columns: Tensor) -> Tensor:
-        theta, phi = _pairs(pi * _centres(rows), 2 * pi * _centres(columns))
+        theta, phi = crossed(pi * centres(rows), 2 * pi * centres(columns))
         return torch.stack((theta.sin() * phi.sin(), theta.cos(), -theta.sin() * phi.cos()), dim=-1)
 
     def _solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
         # cos a - cos b = 2 sin((a + b) / 2) sin((b - a) / 2): no cancellation at the poles
-        heights = 2 * torch.sin(pi * _centres(rows)) * torch.sin(pi / 2 * rows.diff())
+        heights = 2 * torch.sin(pi * centres(rows)) * torch.sin(pi / 2 * rows.diff())
         return heights[:, None] * (2 * pi * columns.diff())
 
 
@@ -152,17 +152,17 @@ class Cube(Grid):
     n: int
 
     def __post_init__(self) -> None:
-        _positive("n", self.n)
+        at_least_one("n", self.n)
 
     @property
     def shape(self) -> tuple[int, int, int]:
         return 6, self.n, self.n
 
     def refine(self, k: int) -> Cube:
-        return Cube(self.n * _positive("k", k))
+        return Cube(self.n * at_least_one("k", k))
 
     def cell(self, directions: Tensor) -> Tensor:
-        d = _checked(directions)
+        d = checked_directions(directions)
         axis = d.abs().argmax(dim=-1, keepdim=True)
         major = d.gather(-1, axis)
         x, y, z = (d / major.abs()).unbind(-1)
@@ -171,16 +171,16 @@ class Cube(Grid):
         s = torch.where(axis == 0, -sign * z, torch.where(axis == 1, x, sign * x))
         t = torch.where(axis == 1, sign * z, -y)
         face = 2 * axis + (~positive).long()
-        return (face * self.n + _index((t + 1) / 2, self.n)) * self.n + _index((s + 1) / 2, self.n)
+        return (face * self.n + step_index((t + 1) / 2, self.n)) * self.n + step_index((s + 1) / 2, self.n)
 
     def _directions(self, rows: Tensor, columns: Tensor) -> Tensor:
-        t, s = _pairs(2 * _centres(rows) - 1, 2 * _centres(columns) - 1)
+        t, s = crossed(2 * centres(rows) - 1, 2 * centres(columns) - 1)
         one = torch.ones_like(s)
         faces = (one, -t, -s), (-one, -t, s), (s, one, t), (s, -one, -t), (s, -t, one), (-s, -t, -one)
-        return _unit(torch.stack([torch.stack(face, dim=-1) for face in faces]))
+        return unit(torch.stack([torch.stack(face, dim=-1) for face in faces]))
 
     def _solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
-        b, a = _pairs(2 * rows - 1, 2 * columns - 1)
+        b, a = crossed(2 * rows - 1, 2 * columns - 1)
         corner = torch.atan2(a * b, (1 + a * a + b * b).sqrt())
         return _mixed_difference(corner).expand(6, -1, -1)
 
@@ -198,19 +198,19 @@ class Disk(Grid):
     n: int
 
     def __post_init__(self) -> None:
-        _positive("n", self.n)
+        at_least_one("n", self.n)
 
     @property
     def shape(self) -> tuple[int, int]:
         return self.n, self.n
 
     def refine(self, k: int) -> Disk:
-        return Disk(self.n * _positive("k", k))
+        return Disk(self.n * at_least_one("k", k))
 
     def cell(self, directions: Tensor) -> Tensor:
         """As `Grid.cell`; a direction below the horizon falls in the cell of its mirror image above."""
-        x, y, _ = _unit(_checked(directions)).unbind(-1)
-        return _index((y + 1) / 2, self.n) * self.n + _index((x + 1) / 2, self.n)
+        x, y, _ = unit(checked_directions(directions)).unbind(-1)
+        return step_index((y + 1) / 2, self.n) * self.n + step_index((x + 1) / 2, self.n)
 
     def coordinates(self, directions: Tensor) -> Tensor:
         """Continuous (row, column) (..., 2) of unit directions (..., 3), for bilinear lookups.
@@ -222,7 +222,7 @@ class Disk(Grid):
     def projected_solid_angles(self) -> Tensor:
         """Integral of the cosine over each cell (n, n), float64: its area in the unit circle; sums to pi."""
         edges = 2 * _fractions(self.n) - 1
-        return _within_circle(_mixed_difference(_disk_area(*_pairs(edges, edges))), edges, edges)
+        return _within_circle(_mixed_difference(_disk_area(*crossed(edges, edges))), edges, edges)
 
     def nearest_inside(self) -> Tensor:
         """For every cell, the flat index (n * n,) of the nearest one that lies at least half inside of the circle.
@@ -231,20 +231,20 @@ class Disk(Grid):
         """
         area = self.projected_solid_angles().flatten()
         inside = torch.nonzero(area >= 0.5 * area.max())[:, 0]
-        centre = _centres(_fractions(self.n))
+        centre = centres(_fractions(self.n))
         cells = torch.cartesian_prod(centre, centre)
         return inside[torch.cdist(cells, cells[inside]).argmin(1)]
 
     def _directions(self, rows: Tensor, columns: Tensor) -> Tensor:
-        near_y, near_x = _pairs(_nearest_zero(2 * rows - 1), _nearest_zero(2 * columns - 1))
-        y, x = _pairs(2 * _centres(rows) - 1, 2 * _centres(columns) - 1)
+        near_y, near_x = crossed(_nearest_zero(2 * rows - 1), _nearest_zero(2 * columns - 1))
+        y, x = crossed(2 * centres(rows) - 1, 2 * centres(columns) - 1)
         step = _step_within_circle(near_x, near_y, x - near_x, y - near_y)
         x, y = near_x + step * (x - near_x), near_y + step * (y - near_y)
         z = (1 - x * x - y * y).clamp(min=0).sqrt()
-        return _unit(torch.stack((x, y, z), dim=-1))
+        return unit(torch.stack((x, y, z), dim=-1))
 
     def _solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
-        b, a = _pairs(2 * rows - 1, 2 * columns - 1)
+        b, a = crossed(2 * rows - 1, 2 * columns - 1)
         r = (1 - a * a - b * b).clamp(min=0).sqrt()
         # area of the sphere above the rectangle from (0, 0) to (a, b): integral of asin(b / sqrt(1 - x^2)) dx
         corner = a * torch.atan2(b, r) + b * torch.atan2(a, r) - torch.atan2(a * b, r)
@@ -284,7 +284,7 @@ def _step_within_circle(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor) -> Tensor:
 
 def _within_circle(weights: Tensor, y: Tensor, x: Tensor) -> Tensor:
     """Weights of the cells between the given edges, with exact zeros outside the unit circle."""
-    outside = torch.hypot(*_pairs(_nearest_zero(y), _nearest_zero(x))) >= 1
+    outside = torch.hypot(*crossed(_nearest_zero(y), _nearest_zero(x))) >= 1
     return weights.clamp(min=0).masked_fill(outside, 0.0)
 
 
@@ -301,26 +301,26 @@ def _fractions(n: int) -> Tensor:
     return torch.arange(n + 1, dtype=torch.float64) / n
 
 
-def _centres(edges: Tensor) -> Tensor:
+def centres(edges: Tensor) -> Tensor:
     return (edges[1:] + edges[:-1]) / 2
 
 
-def _pairs(rows: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
+def crossed(rows: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
     """Both coordinates at every (row, column)."""
     y, x = torch.meshgrid(rows, columns, indexing="ij")
     return y, x
 
 
-def _index(fraction: Tensor, n: int) -> Tensor:
+def step_index(fraction: Tensor, n: int) -> Tensor:
     return (fraction * n).floor().long().clamp(0, n - 1)
 
 
-def _unit(directions: Tensor) -> Tensor:
+def unit(directions: Tensor) -> Tensor:
     lengths: Tensor = torch.linalg.vector_norm(directions, dim=-1, keepdim=True)
     return directions / lengths
 
 
-def _checked(directions: Tensor) -> Tensor:
+def checked_directions(directions: Tensor) -> Tensor:
     d = directions.to(torch.float64)
     if d.ndim < 1 or d.shape[-1] != 3:
         raise ValueError(f"directions must have shape (..., 3), got {tuple(directions.shape)}")
@@ -330,7 +330,7 @@ def _checked(directions: Tensor) -> Tensor:
     return d
 
 
-def _positive(name: str, value: int) -> int:
+def at_least_one(name: str, value: int) -> int:
     if value < 1:
         raise ValueError(f"{name} must be at least 1, got {value}")
     return value
