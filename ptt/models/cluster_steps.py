@@ -19,7 +19,6 @@ from ptt.models.transfer_model import TransferModel
 from ptt.ops import haar, harmonics, native, relight, view
 from ptt.ops.view import Gloss, Points
 
-TINY = 1e-30
 DULL = 1e-4  # a lobe that reflects no more than this is left out
 
 
@@ -78,18 +77,17 @@ class ClusterSteps(nn.Module):
         turn = environment.rotation.to(self.to_factors)
         texels = self._texels(maps.fine.to(dtype), turn, self.directions, self.shares)
         texels = texels.reshape(*self.model.grid.shape, 3).movedim(-1, 0)  # shape: (c, 6, n, n)
-        peak = texels.detach().abs().amax().clamp(min=TINY)  # 16 bits hold no sun
-        haared = haar.analyse(texels / peak)
+        haared = haar.analyse(texels)
         fine, coarse, coarsest = (haared[..., :n, :n].flatten(1) for n in (texels.shape[-1], COARSE, COARSEST))
         lit = Lit([], [], [], maps.blurred.to(dtype), turn)
         for region in self.model.clustered:
             e, q = region.eigenvectors, len(region.slots)
             reduced = coarse @ region.lighting.transpose(1, 2)  # shape: (k, c, n)
             own = fine.index_select(1, region.columns.flatten()).unflatten(1, region.columns.shape).transpose(0, 1)
-            direct = relight.light_eigen(region.direct, own).mul(peak)
+            direct = relight.light_eigen(region.direct, own)
             lit.direct.append(direct.unflatten(2, (e, -1)))
-            lit.one.append(relight.light_eigen(region.one, reduced).mul(peak).unflatten(2, (q, e, ORDER**2)))
-            lit.two.append(relight.light_eigen(region.two, coarsest).mul(peak).unflatten(2, (len(region.pairs), e)))
+            lit.one.append(relight.light_eigen(region.one, reduced).unflatten(2, (q, e, ORDER**2)))
+            lit.two.append(relight.light_eigen(region.two, coarsest).unflatten(2, (len(region.pairs), e)))
         return lit
 
     def exitant(self, lit: Lit, materials: Sequence[Material]) -> Sent:

@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 
 T = TypeVar("T")
+TINY = 1e-30
 
 
 def light_step(transfer: Tensor, lighting: Tensor, factors: int) -> Tensor:
@@ -37,8 +38,14 @@ def brdf_step(matrices: Tensor, incident: Tensor, spans: Sequence[tuple[int, int
 
 
 def light_eigen(transfer: Tensor, lighting: Tensor) -> Tensor:
-    """U (k, c, x) from T (k, l, x) of eigen-points and lighting (k, c, l) or (c, l), in the type of T."""
-    return torch.matmul(lighting.to(transfer.dtype), transfer).to(lighting.dtype)
+    """U (k, c, x) from T (k, l, x) of eigen-points and lighting (k, c, l) or (c, l); the product in the type of T.
+
+    float16 holds no sun: lighting is divided by its largest value before, and U multiplied after.
+    """
+    if transfer.dtype != torch.float16:
+        return torch.matmul(lighting.to(transfer.dtype), transfer).to(lighting.dtype)
+    scale = lighting.detach().abs().amax().clamp(min=TINY)
+    return torch.matmul((lighting / scale).half(), transfer).to(lighting.dtype) * scale
 
 
 def bounced(one: Tensor, two: Tensor, h: Tensor, pairs: Tensor) -> Tensor:
