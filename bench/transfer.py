@@ -243,7 +243,7 @@ def right(
     """Against the path tracer with the same two bounces; every material after the first is an edit of the model."""
     rows = facing(scene, vertices)
     points = ptt.reference.Points(
-        scene.vertices[rows], scene.frames[rows], scene.vertex_region[rows], scene.colours[rows]
+        scene.points[rows], scene.frames[rows], scene.vertex_region[rows], scene.colours[rows]
     )
     wo = scene.camera.toward(points.position)
     relighters = {key: ptt.TransferRelighter(model) for key, model in models.items()}

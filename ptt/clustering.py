@@ -71,7 +71,7 @@ def cluster(transfer: Transfer, clusters: Clusters = Clusters(), *, progress: bo
         ValueError: fewer bytes than one cluster a region needs, or an error that the most eigenvectors do not meet.
     """
     own = transfer.raw.receivers
-    regions = [_Region(transfer, first, end) for first, end in own.spans]
+    regions = [_Region(transfer, r) for r in range(len(own.names))]
     if clusters.bytes is not None:
         clusters = replace(clusters, points=_points_for(clusters, regions))
     found = []
@@ -97,10 +97,17 @@ def _points_for(clusters: Clusters, regions: list[_Region]) -> int:
 
 
 class _Region:
-    """The transfer to the points first..end of one region, from the slots and pairs that light them."""
+    """The transfer to the points first..end of one region, from the slots and pairs that light them.
 
-    def __init__(self, transfer: Transfer, first: int, end: int) -> None:
+    glossy: whether it may show lobes
+    """
+
+    def __init__(self, transfer: Transfer, region: int) -> None:
+        own = transfer.raw.receivers
+        first, end = own.spans[region]
         self.transfer, self.first, self.end = transfer, first, end
+        shape = own.materials[own.names[region]].shape
+        self.glossy = bool(transfer.brdf.angles) and (own.editable[region] or shape is not None)
         one, two = transfer.indirect.one[first:end], transfer.indirect.two[first:end]
         lit = one.abs().amax((0, 2, 3)) > 0 if one.numel() else torch.zeros(0)
         again = two.abs().amax((0, 3)) > 0 if two.numel() else torch.zeros(0, 0)
@@ -146,11 +153,12 @@ class _Region:
         return ClusteredTransfer(parts, self.slots.tolist(), self.pairs.tolist())
 
     def _cuts(self, place: Tensor, blocks: int) -> Tensor:
+        if not self.glossy:
+            return torch.zeros(blocks * WIDTH, 0, dtype=torch.int32)
         cuts = self.transfer.cuts[self.first : self.end]
         bytes_ = torch.zeros(blocks * WIDTH, cuts.shape[1], LOBES, dtype=torch.uint8)
         bytes_[place, :, : cuts.shape[2]] = cuts
-        words = bytes_.view(torch.int32).squeeze(2)
-        return words if cuts.shape[2] else words[:, :0]
+        return bytes_.view(torch.int32).squeeze(2)
 
     def _sketch(self) -> Tensor:
         """Features (v, r) on common directions."""

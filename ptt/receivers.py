@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class Receivers:
     """v points of a scene, region by region.
 
-    positions (v, 3), frames (v, 3, 3): rows tangent, bitangent, normal; local = frames @ world
+    positions (v, 3): `Scene.points`, frames (v, 3, 3): rows tangent, bitangent, normal; local = frames @ world
     colours (v, 3): linear base colour
     counts: points in each region, in the order of the names
     names, editable: of the regions
@@ -42,7 +42,7 @@ class Receivers:
         at = torch.arange(len(scene.vertices)) if index is None else index
         counts = torch.bincount(scene.vertex_region[at], minlength=len(scene.regions))
         return cls(
-            scene.vertices[at],
+            scene.points[at],
             scene.frames[at],
             scene.colours[at],
             tuple(counts.tolist()),

@@ -66,8 +66,8 @@ class Settings(TypedDict, total=False):
 
 
 def vertex_points(scene: Scene) -> Points:
-    """The scene's vertices as points."""
-    return Points(scene.vertices, scene.frames, scene.vertex_region, scene.colours)
+    """The scene's vertices as points, where they are lit (`Scene.points`)."""
+    return Points(scene.points, scene.frames, scene.vertex_region, scene.colours)
 
 
 @torch.no_grad()
@@ -99,7 +99,7 @@ def at_vertices(
     **settings: Unpack[Settings],
 ) -> Estimate:
     """Radiance (v, 3) that leaves every vertex of the scene towards the camera, seen by it or not; as `radiance`."""
-    wo = camera.toward(scene.vertices)
+    wo = camera.toward(scene.points)
     return radiance(scene, environment, materials, vertex_points(scene), wo, **settings)
 
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ptt.environment import Environment
 
 Vector = tuple[float, float, float]
+INSET = 0.01
 
 
 @dataclass(frozen=True)
@@ -210,6 +211,14 @@ class Scene:
         """(v, 3, 3): rows tangent, bitangent = normal x tangent, normal; local = frames @ world."""
         bitangents = torch.cross(self.normals, self.tangents, dim=1)
         return torch.stack([self.tangents, bitangents, self.normals], 1)
+
+    @cached_property
+    def points(self) -> Tensor:
+        """(v, 3): where the vertices are lit, a hundredth of the way into their triangles along the surface.
+
+        A vertex in the very plane of another surface, as where a floor ends at a wall, would see nothing from there.
+        """
+        return mesh.inset(self.vertices, self.faces, self.normals, INSET)
 
     @cached_property
     def face_region(self) -> Tensor:

@@ -20,6 +20,8 @@ from ptt.io import from_srgb
 from ptt.materials import lambert
 from ptt.meshes import Part
 from ptt.ops import mesh
+from ptt.ops.transfer import unpack
+from ptt.precompute import precompute
 from ptt.scene import Camera, Scene
 from ptt.shapes import BlinnPhong, CookTorrance
 
@@ -584,3 +586,22 @@ def test_example_config_loads(data_dir: Path, monkeypatch: pytest.MonkeyPatch) -
     assert scene.environment is not None
     bunny = scene.vertices[scene.vertex_region == scene.region_index("bunny")]
     assert 0 < bunny[:, 1].min() < 0.01
+
+
+def test_points_are_lit_where_surfaces_meet() -> None:
+    """A floor that ends at a wall: in the middle of the shared edge both see half of what the floor's middle sees.
+
+    Points lie a hundredth of the way into the triangles, on the surface, and where triangles surround a vertex stay.
+    """
+    flat, faces = mesh.plane_mesh(1.0, 8)
+    wall = torch.stack((torch.full_like(flat[:, 0], -0.5), flat[:, 0] + 0.5, -flat[:, 2]), 1)
+    scene = Scene.from_parts([Part("floor", flat, faces), Part("wall", wall, faces)])
+    moved = scene.points - scene.vertices
+    inner = (flat[:, [0, 2]].abs() < 0.49).all(1)
+    assert (moved[: len(flat)][inner].norm(dim=1) < 1e-6).all() and (
+        moved[: len(flat)][~inner].norm(dim=1) > 1e-5
+    ).all()
+    assert (moved.norm(dim=1) < 0.01 * 0.125).all() and ((moved * scene.normals).sum(1).abs() < 1e-7).all()
+    seen = unpack(precompute(scene, resolution=16).visible, 6 * 16**2).sum(1)
+    edge = torch.nonzero((scene.vertices[:, 0] < -0.49) & (scene.vertices[:, 1:].abs() < 1e-6).all(1))[:, 0]
+    assert len(edge) == 2 and (seen[edge] > 0.4 * seen.max()).all() and (seen[edge] < 0.6 * seen.max()).all()

@@ -111,6 +111,14 @@ def _u_directions(vertices: Tensor, faces: Tensor, uv: Tensor) -> Tensor:
     return _scatter(angles * _unit(direction, 0.0)[:, None], faces, len(vertices))
 
 
+def inset(vertices: Tensor, faces: Tensor, normals: Tensor, share: float) -> Tensor:
+    """Vertices (v, 3) moved along the surface, by a share of the way to the mean centre of their triangles (f, 3)."""
+    centres = vertices[faces].mean(1, keepdim=True).expand(-1, 3, -1)
+    counts = torch.bincount(faces.flatten(), minlength=len(vertices))[:, None]
+    ahead = _scatter(centres, faces, len(vertices)) / counts.clamp(min=1) - vertices
+    return vertices + share * _across(ahead, normals) * (counts > 0)
+
+
 def _scatter(values: Tensor, faces: Tensor, count: int) -> Tensor:
     """Sum the corners' values (f, 3, 3) at their vertices: (count, 3)."""
     return values.new_zeros(count, 3).index_add_(0, faces.reshape(-1), values.reshape(-1, 3))
