@@ -40,12 +40,13 @@ def brdf_step(matrices: Tensor, incident: Tensor, spans: Sequence[tuple[int, int
 def light_eigen(transfer: Tensor, lighting: Tensor) -> Tensor:
     """U (k, c, x) from T (k, l, x) of eigen-points and lighting (k, c, l) or (c, l); the product in the type of T.
 
-    float16 holds no sun: lighting is divided by its largest value before, and U multiplied after.
+    In 16 bits lighting is divided by its largest value before, and U multiplied after: float16 holds no sun, and a
+    light times a factor rounds as the light itself.
     """
-    if transfer.dtype != torch.float16:
-        return torch.matmul(lighting.to(transfer.dtype), transfer).to(lighting.dtype)
+    if transfer.dtype.itemsize > 2:
+        return torch.matmul(lighting, transfer)
     scale = lighting.detach().abs().amax().clamp(min=TINY)
-    return torch.matmul((lighting / scale).half(), transfer).to(lighting.dtype) * scale
+    return torch.matmul((lighting / scale).to(transfer.dtype), transfer).to(lighting.dtype) * scale
 
 
 def bounced(one: Tensor, two: Tensor, h: Tensor, pairs: Tensor) -> Tensor:
