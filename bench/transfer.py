@@ -96,7 +96,7 @@ CASES = {
     ),
     "dragon": Case(
         ptt.BRDFSpace.fitted, (4, 16, 16), 4, 4, fitted_materials,
-        ("Venus", 39700, 389, (5.0, 7.3), (57.09, 10.94, 2.62)),
+        ("Venus", 39700, 389, (5.0, 7.3), (57.09, 10.94, 2.62)), None, 300, ("rough", "moderate"),
     ),
     "engine": Case(
         ptt.BRDFSpace.fitted, (4, 8, 8), 4, 4, fitted_materials,
@@ -339,7 +339,7 @@ def caustic(name: str) -> list[dict[str, str]]:
         table.row(f"caustic, {kind} ring, error", ptt.relative_rmse(ours, truly), "relative RMSE", how)
         peak = float(ours.max()) / float(truly.quantile(0.999))
         table.row(f"caustic, {kind} ring, brightest over the reference's", peak, "", f"{how}; its 99.9 % quantile")
-    ptt.Image(torch.cat(strips)).save(IMAGES / "transfer_caustic.png", ptt.Image(strips[0]).exposure())
+    ptt.Image(torch.cat(strips)).save(IMAGES / "transfer_caustic.png", ptt.Image(strips[0]).exposure() - 1.6)
     return table.rows
 
 
