@@ -119,13 +119,11 @@ def main() -> None:
         parser.error("set PTT_DATA to the folder with meshes and hdri")
     table = Table("transfer")
     old = list(csv.DictReader(table.path.open())) if table.path.exists() else []
-    for name in [*CASES, "caustic"]:
-        if arguments.only is None or name in arguments.only:
-            with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-                rows = pool.submit(caustic if name == "caustic" else scene_rows, name).result()
-        else:
-            rows = [row for row in old if row["what"].startswith(name)]
-        table.rows.extend(rows)
+    rows = {name: [row for row in old if row["what"].startswith(name)] for name in (*CASES, "caustic")}
+    for name in arguments.only or rows:
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            rows[name] = pool.submit(caustic if name == "caustic" else scene_rows, name).result()
+        table.rows = [row for scene in rows.values() for row in scene]
         table.write()
 
 

@@ -164,7 +164,7 @@ class Environment:
     def integral(self) -> Tensor:
         """Integral of the radiance over the sphere (3,) [map's units x sr], exact for the interpolant."""
         weights = latlong.texel_weights(*self.map.shape[:2]).to(self.map)
-        return torch.einsum("h,hwc->c", weights, self.map)
+        return weights @ self.map.sum(1)  # row by row: half a million texels in one float32 sum lose 1e-3
 
     def sampler(self) -> EnvironmentSampler:
         """Importance sampling by luminance; gradients stop here."""
