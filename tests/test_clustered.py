@@ -226,8 +226,8 @@ def test_a_larger_error_needs_fewer_eigenvectors(assembled: Transfer) -> None:
     count = {}
     for error in (0.3, 0.1, 0.03):
         model = ptt.cluster(assembled, ptt.Clusters(points=30, columns=64, lighting=8, error=error))
-        for region, (first, end) in zip(model.clustered, model.receivers.spans, strict=True):
-            x = _Region(assembled, first, end)._sketch().double()
+        for r, region in enumerate(model.clustered):
+            x = _Region(assembled, r)._sketch().double()
             weights = region.weights.transpose(1, 2).flatten(0, 1)[region.place].double()
             labels = region.cluster[region.place // region.weights.shape[2]]
             left = 0.0

@@ -43,8 +43,8 @@ def light_eigen(transfer: Tensor, lighting: Tensor) -> Tensor:
     In 16 bits lighting is divided by its largest value before, and U multiplied after: float16 holds no sun, and a
     light times a factor rounds as the light itself.
     """
-    if transfer.dtype.itemsize > 2:
-        return torch.matmul(lighting, transfer)
+    if transfer.dtype.itemsize > 2 or not transfer.numel():
+        return torch.matmul(lighting, transfer.to(lighting.dtype))
     scale = lighting.detach().abs().amax().clamp(min=TINY)
     return torch.matmul((lighting / scale).to(transfer.dtype), transfer).to(lighting.dtype) * scale
 
