@@ -12,6 +12,7 @@ from torch import Tensor
 import ptt
 from ptt import bounces
 from ptt.models import light_maps, slots
+from ptt.models.indirect import COARSE, responses
 from ptt.ops import haar, lobes, transfer
 from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.sphere import Cube
@@ -33,7 +34,7 @@ class Uncompressed:
         """Direct light, first and second bounce (v, 3) each, of the receivers of some rows (v,)."""
         own, grid = self.raw.receivers, Cube(self.raw.resolution)
         texels = light.project(grid)
-        lighting = haar.analyse(texels.movedim(-1, 0))[..., : bounces.COARSE, : bounces.COARSE].flatten(1).T
+        lighting = haar.analyse(texels.movedim(-1, 0))[..., :COARSE, :COARSE].flatten(1).T
         paths = bounces.Bounces(self.raw, self.brdf, self.basis, self.t0, self.cuts)
         paths.reduced(lighting.contiguous())  # l is colour from here on
         h = slots.coefficients(paths.slots, self.basis, [materials[name] for name in own.names])
@@ -44,7 +45,7 @@ class Uncompressed:
         two[:, 0] = torch.cat(again)
         toward = torch.nn.functional.normalize(eye - own.positions[rows], dim=1)
         wo = torch.einsum("vij,vj->vi", own.frames[rows], toward)
-        to_factors = bounces.responses(self.brdf)
+        to_factors = responses(self.brdf)
         filtered = paths.filtered(lobes.mirror(wo))
         direct, mirrored = self._direct(rows, grid, texels.reshape(-1, 3)), self._mirrored(rows, wo, light)
         shaded = [self._shade(rows, wo, materials, direct, mirrored)]

@@ -15,8 +15,9 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from ptt.bounces import COARSE, COARSEST, CUTS, ORDER, Bounces, responses
+from ptt.bounces import CUTS, Bounces
 from ptt.models.brdf_basis import BRDFBasis
+from ptt.models.indirect import COARSE, COARSEST, ORDER, responses
 from ptt.models.slots import Slot, slots_of
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.ops import haar, transfer
@@ -62,6 +63,10 @@ class Weights(NamedTuple):
     light: Tensor
     slots: Tensor
     harmonics: Tensor
+
+    def one(self, slots: Tensor) -> Tensor:
+        """Of T1 (q, s, 1), for some slots (q,)."""
+        return self.slots[slots][:, None, None] * self.harmonics[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +218,7 @@ def _principal(paths: Bounces, weights: Weights, count: int) -> tuple[Tensor, fl
     """Axes (l, l') of natural light that matter most to the T1 of some points, and the largest value of those."""
     v, largest = len(paths.raw.receivers), 0.0
     gram = torch.zeros(len(weights.light), len(weights.light), dtype=torch.float64)
-    of_slots = weights.slots[:, None, None] * weights.harmonics[:, None]
+    of_slots = weights.one(torch.arange(len(weights.slots)))
     for rows in torch.randperm(v, generator=torch.Generator().manual_seed(0))[:SAMPLE].sort().values.split(4):
         t1 = paths.one(rows) * weights.light
         largest = max(largest, float(t1.square().sum(3).amax().sqrt()))

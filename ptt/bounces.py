@@ -21,15 +21,13 @@ import torch
 from torch import Tensor
 
 from ptt.models.brdf_basis import BRDFBasis
+from ptt.models.indirect import COARSE, ORDER, blurs, responses
 from ptt.models.slots import OWN, Slot, slots_of
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.ops import haar, harmonics, lobes, octahedral, transfer
-from ptt.ops.sphere import Cube, Disk
+from ptt.ops.sphere import Cube
 from ptt.precompute import RawTransfer
 
-ORDER = 4  # of the harmonics in which indirect light arrives
-COARSE = 8  # cells along an edge of the cube map that lights the first bounce
-COARSEST = 2  # and of the one that lights the second
 MIRRORS = Cube(16)  # cells to which mirror directions are rounded
 SMOOTH = Cube(32)  # cells on which lobes are integrated
 CUTS = 32  # cells along an edge of the hemispherical map of fractional visibility
@@ -110,12 +108,11 @@ class Bounces:
         self.raw, self.brdf, self.t0, self.cuts = raw, brdf, t0, cuts
         self.slots = slots_of(own, basis.mixture.shape[1])
         self.reflectors = [Reflector.of(r, self.slots, raw, brdf, basis) for r in range(len(own.names)) if self._has(r)]
-        self.local = transfer.gather_directions(raw.hits.shape[1])
-        change = harmonics.hemispherical(ORDER)
-        values = harmonics.evaluate(self.local, ORDER) @ change.T
+        local, change = transfer.gather_directions(raw.hits.shape[1]), harmonics.hemispherical(ORDER)
+        values = harmonics.evaluate(local, ORDER) @ change.T
         self.projector = torch.linalg.pinv(values).float()  # shape: (s, n); exact for what the harmonics span
-        self.change = change.float()
-        self.response = responses(brdf)
+        self.local, self.change = local.float(), change.float()
+        self.response, self.blurs = responses(brdf), blurs(brdf.angles).float()
         self.mirrored = _mirrored(brdf.angles, raw.resolution)
 
     def _has(self, region: int) -> bool:
@@ -134,7 +131,7 @@ class Bounces:
         count = mine.sum(1)
         ray = mine.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, : int(count.max())]
         at = hits.gather(1, ray).clamp(first, end - 1)
-        direction = self.local.float()[ray] @ own.frames[rows]
+        direction = self.local[ray] @ own.frames[rows]
         wo = -(own.frames[at] @ direction[..., None])[..., 0]
         weight = (torch.arange(ray.shape[1]) < count[:, None]) & (wo[..., 2] > 0)
         return Seen(at, ray, wo, weight.float())
@@ -187,24 +184,7 @@ class Bounces:
     def filtered(self, directions: Tensor) -> Tensor:
         """Z_s at directions (m, 3), as each lobe blurs it (m, k, s)."""
         y = harmonics.evaluate(directions, ORDER)
-        return (y[:, None] * blurs(self.brdf.angles).to(y)) @ self.change.T
-
-
-def blurs(angles: Sequence[float]) -> Tensor:
-    """What each lobe leaves of each harmonic (k, s), float64."""
-    table = [lobes.zonal(a, ORDER)[harmonics.degrees(ORDER)] for a in angles]
-    return torch.stack(table) if table else torch.zeros(0, ORDER**2, dtype=torch.float64)
-
-
-def responses(brdf: TensorBRDF) -> Tensor:
-    """C (s, 1 + i): integrals of Z_s times each incident factor and cosine, the constant first (section 3.3)."""
-    grid = Disk(brdf.u_i.shape[-1])
-    z = harmonics.evaluate(grid.directions().reshape(-1, 3), ORDER) @ harmonics.hemispherical(ORDER).T
-    weights = grid.projected_solid_angles().flatten()
-    specular = (z * weights[:, None]).T @ brdf.u_i.flatten(1).double().T
-    constant = torch.zeros(ORDER**2, 1, dtype=torch.float64)
-    constant[0] = math.sqrt(math.pi)
-    return torch.cat((constant, specular), 1).float()
+        return (y[:, None] * self.blurs) @ self.change.T
 
 
 @cache
@@ -218,7 +198,7 @@ def _mirrored(angles: tuple[float, ...], resolution: int) -> Tensor:
     fine, solid = SMOOTH.directions().reshape(-1, 3).float(), SMOOTH.solid_angles().flatten().float()
     rows = []
     for axis in MIRRORS.directions().reshape(-1, 3).float().split(64):
-        angle = torch.linalg.cross(axis[:, None], fine[None]).norm(dim=2).atan2(axis @ fine.T)
+        angle = lobes.between(axis[:, None], fine)
         weight = torch.stack([lobes.gaussian(angle, max(a, 7.0)) for a in angles], 1) * solid
         weight = weight / weight.sum(2, keepdim=True)
         coarse = haar.analyse(weight.unflatten(2, SMOOTH.shape))[..., :COARSE, :COARSE] * (SMOOTH.n / resolution)

@@ -17,8 +17,8 @@ from torch import Tensor
 from tqdm import tqdm
 
 from ptt.assembly import ALWAYS, Transfer, natural
-from ptt.bounces import ORDER
-from ptt.models.clustered_transfer import LOBES, STORAGE, WIDTH, ClusteredTransfer, Parts, in_blocks
+from ptt.models.clustered_transfer import LOBES, STORAGE, WIDTH, ClusteredTransfer, in_blocks
+from ptt.models.indirect import ORDER
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import cpca
 from ptt.ops.sphere import Cube
@@ -145,12 +145,20 @@ class _Region:
             made.append(self._lifted(at, combination[at] / max(len(at), 1), clusters))
         columns, t0, lighting, t1, t2 = (torch.stack(parts) for parts in zip(*made, strict=True))
         cluster, place = in_blocks(labels)
-        stored = [part.to(clusters.storage) for part in (t0, t1, t2)]
         weights = torch.zeros(len(cluster) * WIDTH, e).index_copy(0, place, combination)
-        weights = weights.unflatten(0, (-1, WIDTH)).transpose(1, 2).contiguous()
-        cuts = self._cuts(place, len(cluster))
-        parts = Parts(cluster, place, weights, columns, stored[0], lighting, stored[1], stored[2], cuts)
-        return ClusteredTransfer(parts, self.slots.tolist(), self.pairs.tolist())
+        return ClusteredTransfer(
+            self.slots.tolist(),
+            self.pairs.tolist(),
+            cluster=cluster,
+            place=place,
+            weights=weights.unflatten(0, (-1, WIDTH)).transpose(1, 2).contiguous(),
+            columns=columns,
+            direct=t0.to(clusters.storage),
+            lighting=lighting,
+            one=t1.to(clusters.storage),
+            two=t2.to(clusters.storage),
+            cuts=self._cuts(place, len(cluster)),
+        )
 
     def _cuts(self, place: Tensor, blocks: int) -> Tensor:
         if not self.glossy:
@@ -171,7 +179,7 @@ class _Region:
         weights = self.transfer.weights
         t0 = self.transfer.direct.coarse[rows + self.first] * weights.factors[:, None] * weights.light
         t1, t2 = self._indirect(rows)
-        t1 = t1 * (weights.slots[self.slots][:, None, None] * weights.harmonics[:, None])
+        t1 = t1 * weights.one(self.slots)
         t2 = t2 * (weights.slots[self.pairs].prod(1)[:, None] * weights.harmonics[0])
         return torch.cat((t0.flatten(1), t1.flatten(1), t2.flatten(1)), 1)
 
@@ -187,7 +195,7 @@ class _Region:
         weights, axes = self.transfer.weights, self.transfer.indirect.axes
         t1, t2 = self._indirect(rows)
         t1 = torch.einsum("ve,vqsl->eqsl", combination, t1)
-        weighed = (t1 * (weights.slots[self.slots][:, None, None] * weights.harmonics[:, None])).flatten(0, 2).double()
+        weighed = (t1 * weights.one(self.slots)).flatten(0, 2).double()
         own = torch.linalg.eigh(weighed.T @ weighed).eigenvectors.flip(1)[:, : self._lighting(clusters)].float()
         t1, t2 = (t1 @ own).permute(3, 1, 0, 2), torch.einsum("ve,vpl->lpe", combination, t2)
         return *self._lifted_direct(rows, combination, clusters), own.T @ axes, t1.flatten(1), t2.flatten(1)

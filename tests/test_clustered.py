@@ -16,10 +16,10 @@ from torch import Tensor, nn
 
 import ptt
 from ptt.assembly import Transfer
-from ptt.bounces import blurs, responses
 from ptt.clustering import _eigenvectors_for, _Region
 from ptt.meshes import Part
 from ptt.models import light_maps, slots
+from ptt.models.indirect import blurs, responses
 from ptt.ops import haar, harmonics, lobes, mesh, octahedral
 from ptt.ops.sphere import Cube
 

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from ptt.bounces import COARSE, COARSEST, ORDER, blurs, responses
 from ptt.environment import Environment
 from ptt.materials import Material
 from ptt.models import light_maps, slots
 from ptt.models.cache import Cache
+from ptt.models.indirect import COARSE, COARSEST, ORDER, blurs, responses
 from ptt.models.light_maps import LightMaps
 from ptt.models.point_steps import matrix
 from ptt.models.transfer_model import TransferModel

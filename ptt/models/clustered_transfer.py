@@ -11,22 +11,23 @@ zeros, points innermost.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from ptt.models.indirect import ORDER
 from ptt.saved import Shapes
 
 WIDTH = 128  # points in a block
 LOBES = 4  # bytes in a cell of the cuts
-HARMONICS = 16  # in which indirect light arrives: order 4
 STORAGE = {"float32": torch.float32, "float16": torch.float16, "bfloat16": torch.bfloat16}
 
 
-class Parts(NamedTuple):
-    """What is stored of k clusters with e eigen-points each.
+class ClusteredTransfer(nn.Module):
+    """k clusters with e eigen-points each, and which slots light the points: slots (q,) after one reflection.
 
+    pairs: (last slot, first slot) of each after two; positions in the model's list of slots
     cluster (b,) int64, place (v,) int64: of each block; where each point lies in the blocks (block * WIDTH + lane)
     weights (b, e, WIDTH)
     columns (k, m) int64, direct (k, m, e * (1 + i)): T0 of the eigen-points, at some positions l of the lighting
@@ -45,28 +46,11 @@ class Parts(NamedTuple):
     two: Tensor
     cuts: Tensor
 
-
-class ClusteredTransfer(nn.Module):
-    """The `Parts` of one region, and which slots light its points: slots (q,) after one reflection, pairs after two.
-
-    pairs: (last slot, first slot) of each; positions in the model's list of slots
-    """
-
-    cluster: Tensor
-    place: Tensor
-    weights: Tensor
-    columns: Tensor
-    direct: Tensor
-    lighting: Tensor
-    one: Tensor
-    two: Tensor
-    cuts: Tensor
-
-    def __init__(self, parts: Parts, slots: Sequence[int], pairs: Sequence[Sequence[int]]) -> None:
+    def __init__(self, slots: Sequence[int], pairs: Sequence[Sequence[int]], **parts: Tensor) -> None:
         super().__init__()
         self.slots, self.pairs = list(slots), [list(pair) for pair in pairs]
-        for name, tensor in parts._asdict().items():
-            self.register_buffer(name, tensor)
+        for name in ("cluster", "place", "weights", "columns", "direct", "lighting", "one", "two", "cuts"):
+            self.register_buffer(name, parts[name])
 
     @property
     def points(self) -> int:
@@ -113,7 +97,7 @@ class ClusteredTransfer(nn.Module):
             "columns": (torch.int64, (k, m)),
             "direct": (stored, (k, m, e * factors)),
             "lighting": (torch.float32, (k, n, coarse)),
-            "one": (stored, (k, n, q * e * HARMONICS)),
+            "one": (stored, (k, n, q * e * ORDER**2)),
             "two": (stored, (k, coarsest, pairs * e)),
             "cuts": (torch.int32, (b * WIDTH, config["cuts"])),
         }
@@ -136,7 +120,7 @@ class ClusteredTransfer(nn.Module):
             if index.numel() and not 0 <= int(index.min()) <= int(index.max()) < limit:
                 got = f"{int(index.min())}..{int(index.max())}"
                 raise ValueError(f"holds wrong indices: {name} must be in 0..{limit - 1}, got {got}")
-        return cls(Parts(**{name: tensors[name] for name in Parts._fields}), config["slots"], config["pairs"])
+        return cls(config["slots"], config["pairs"], **tensors)
 
 
 def in_blocks(labels: Tensor) -> tuple[Tensor, Tensor]:

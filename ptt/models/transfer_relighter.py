@@ -24,7 +24,7 @@ class TransferRelighter(nn.Module):
     """relighter(environment, materials, view) -> radiance (v, 3), linear RGB, in the map's units.
 
     model: what `compress` made, or `TransferModel.load`
-    compiled: fuse the view step with torch.compile; the first call then takes some seconds
+    compiled: the view step by a fused kernel and lookups by torch.compile; the first call then takes some seconds
 
     Each of the three inputs can change without the work of the others: results are kept for as long as what they
     were made from is unchanged, and never longer. Differentiable in the map, in the weights of the materials and

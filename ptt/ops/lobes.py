@@ -212,8 +212,12 @@ def mirror(wo: Tensor) -> Tensor:
 
 def from_mirror(wi: Tensor, wo: Tensor) -> Tensor:
     """Angle (...) [rad] between wi and the mirror image of wo, exact also where it is small."""
-    m = mirror(wo)
-    return torch.atan2(torch.linalg.cross(*torch.broadcast_tensors(wi, m)).norm(dim=-1), (wi * m).sum(-1))
+    return between(wi, mirror(wo))
+
+
+def between(a: Tensor, b: Tensor) -> Tensor:
+    """Angle (...) [rad] between directions (..., 3), exact also where it is small."""
+    return torch.atan2(torch.linalg.cross(*torch.broadcast_tensors(a, b)).norm(dim=-1), (a * b).sum(-1))
 
 
 def _least(values: Tensor, above: Tensor) -> Tensor:

@@ -8,7 +8,7 @@
 
 of every eigen-point e of every cluster k; points v are combinations of them. M is the BRDF tensor's core contracted
 with a material's coordinates and weights, V its outgoing factors in each point's view direction; factor 0 of i and of o
-is the diffuse part: M couples it to itself alone, and V[0] = 1. H and C: `models.slots` and `bounces.responses`.
+is the diffuse part: M couples it to itself alone, and V[0] = 1. H and C: `models.slots` and `models.indirect`.
 Points are innermost everywhere and the small axes stay outside.
 """
 

@@ -92,7 +92,7 @@ def _lobe_filters(cells: int, fine: int, angles: tuple[float, ...]) -> Tensor:
     grid = HemiOctahedral(fine)
     wi, solid = grid.directions().reshape(-1, 3), grid.solid_angles().flatten()
     axes = HemiOctahedral(cells).directions().reshape(-1, 3)
-    angle = torch.linalg.cross(axes[:, None], wi[None]).norm(dim=2).atan2(axes @ wi.T)  # shape: (cells^2, fine^2)
+    angle = lobes.between(axes[:, None], wi)  # shape: (cells^2, fine^2)
     weight = torch.stack([lobes.gaussian(angle, a) for a in angles], 1) * (solid * wi[:, 2])
     return (weight / weight.sum(2, keepdim=True)).flatten(0, 1).T.float()
 
