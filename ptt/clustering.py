@@ -21,6 +21,7 @@ from ptt.models.clustered_transfer import LOBES, STORAGE, WIDTH, ClusteredTransf
 from ptt.models.indirect import ORDER
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import cpca
+from ptt.ops.octahedral import tiles
 from ptt.ops.sphere import Cube
 
 SKETCH = 256  # common directions of the features
@@ -165,7 +166,7 @@ class _Region:
             return torch.zeros(blocks * WIDTH, 0, dtype=torch.int32)
         cuts = self.transfer.cuts[self.first : self.end]
         bytes_ = torch.zeros(blocks * WIDTH, cuts.shape[1], LOBES, dtype=torch.uint8)
-        bytes_[place, :, : cuts.shape[2]] = cuts
+        bytes_[place[:, None], tiles(math.isqrt(cuts.shape[1])), : cuts.shape[2]] = cuts
         return bytes_.view(torch.int32).squeeze(2)
 
     def _sketch(self) -> Tensor:
@@ -198,7 +199,7 @@ class _Region:
         weighed = (t1 * weights.one(self.slots)).flatten(0, 2).double()
         own = torch.linalg.eigh(weighed.T @ weighed).eigenvectors.flip(1)[:, : self._lighting(clusters)].float()
         t1, t2 = (t1 @ own).permute(3, 1, 0, 2), torch.einsum("ve,vpl->lpe", combination, t2)
-        return *self._lifted_direct(rows, combination, clusters), own.T @ axes, t1.flatten(1), t2.flatten(1)
+        return *self._lifted_direct(rows, combination, clusters), axes.T @ own, t1.flatten(1), t2.flatten(1)
 
     def _lifted_direct(self, rows: Tensor, combination: Tensor, clusters: Clusters) -> tuple[Tensor, Tensor]:
         """The columns that matter most, and T0 (m, e * (1 + i)) there."""

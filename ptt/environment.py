@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from math import ceil, pi, radians, sin
 from os import PathLike
@@ -132,7 +133,11 @@ class Environment:
 
     def rotated(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Environment:
         """The environment turned by degrees about the world axes, first x, then y, then z; right-handed."""
-        return replace(self, rotation=turn(2, z) @ turn(1, y) @ turn(0, x) @ self.rotation)
+        rotation = turn(2, z) @ turn(1, y) @ turn(0, x) @ self.rotation
+        _check_rotation(rotation)
+        turned = copy(self)  # the map is not looked at again
+        object.__setattr__(turned, "rotation", rotation)
+        return turned
 
     def scaled(self, factor: Colour) -> Environment:
         """The environment with its radiance multiplied by `factor`."""

@@ -16,7 +16,6 @@ from ptt.materials import Material
 from ptt.meshes import Part, prepare
 from ptt.ops import mesh
 from ptt.ops.raycast import Surface
-from ptt.ops.sphere import turn
 
 if TYPE_CHECKING:
     from ptt.environment import Environment
@@ -62,17 +61,18 @@ class Camera:
 
     def orbited(self, degrees: float) -> Camera:
         """The camera turned about the vertical axis through its target; positive = right-handed."""
-        eye, target = (torch.tensor(x, dtype=torch.float64) for x in (self.eye, self.target))
-        around = target + turn(1, degrees) @ (eye - target)
-        return replace(self, eye=tuple(around.tolist()))
+        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+        x, y, z = (e - t for e, t in zip(self.eye, self.target, strict=True))
+        around = (self.target[0] + c * x + s * z, self.target[1] + y, self.target[2] - s * x + c * z)
+        return replace(self, eye=around)
 
     def axes(self) -> Tensor:
         """(3, 3) float64: unit vectors to the right, up, and ahead in the image."""
-        eye, target, up = (torch.tensor(x, dtype=torch.float64) for x in (self.eye, self.target, self.up))
-        ahead = (target - eye) / (target - eye).norm()
-        right = torch.cross(ahead, up / up.norm(), dim=0)
-        right = right / right.norm() if right.norm() > 1e-9 else right * math.nan
-        return torch.stack([right, torch.cross(right, ahead, dim=0), ahead])
+        (ex, ey, ez), (tx, ty, tz) = self.eye, self.target
+        ahead = _unit((tx - ex, ty - ey, tz - ez))
+        right = _cross(ahead, _unit(self.up))
+        right = _unit(right) if math.hypot(*right) > 1e-9 else (math.nan, math.nan, math.nan)
+        return torch.tensor([right, _cross(right, ahead), ahead], dtype=torch.float64)
 
     def rays(self) -> tuple[Tensor, Tensor]:
         """Origin (3,) and unit directions (height, width, 3) through the pixels' centres, row 0 on top."""
@@ -270,6 +270,15 @@ def _bounds(vertices: Tensor) -> tuple[Tensor, float]:
 
 def _centres(count: int) -> Tensor:
     return (torch.arange(count, dtype=torch.float64) + 0.5) * (2 / count) - 1
+
+
+def _unit(x: Vector) -> Vector:
+    size = math.hypot(*x) or math.nan
+    return (x[0] / size, x[1] / size, x[2] / size)
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def _vector(name: str, value: Sequence[float]) -> Vector:

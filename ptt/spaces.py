@@ -202,8 +202,12 @@ class BRDFSpace:
             return self._by_name(shape.name)
         if not self._analytic or shape.model != self._analytic[0].model:
             raise ValueError(f"the model's space holds {self._models} shapes, got {shape.model}")
-        rows = torch.tensor([h for h, s in enumerate(self.samples) if isinstance(s, Analytic)])
-        return torch.zeros(len(self.samples), dtype=torch.float64).index_put((rows,), self._weights(shape))
+        weights = self._weights(shape)
+        return torch.zeros(len(self.samples), dtype=torch.float64).index_put((self._rows,), weights)
+
+    def resolved(self, shape: Shape | Tensor) -> Tensor:
+        """The coordinates (h,) of a shape; a tensor is taken for them."""
+        return shape if isinstance(shape, Tensor) else self.coordinates(shape)
 
     def to_config(self) -> dict[str, Any]:
         """The space as plain values; functions of named BRDFs are left out."""
@@ -232,8 +236,10 @@ class BRDFSpace:
         """
         place, points = self._place(shape), self._simplices.points
         weights = self._simplices.weights(place)
+        if self.clamped:
+            return weights
         missed = (weights @ points - place).detach().abs() > 2e-6 * points.abs().amax(0)
-        if not self.clamped and bool(missed.any()):
+        if bool(missed.any()):
             axes = ", ".join(self._axes)
             raise ValueError(f"({axes}) must lie between the samples of the model's space, got {place.tolist()}")
         return weights
@@ -247,11 +253,8 @@ class BRDFSpace:
         given, first = shapes.parameters(shape), shapes.parameters(self._analytic[0])
         if given.keys() != first.keys():
             raise ValueError(f"{shape.model} must have {', '.join(first)} here, got {', '.join(given)}")
-        points = self._simplices.points
-        low, high = points.amin(0).tolist(), points.amax(0).tolist()
-        bounds = dict(zip(self._axes, zip(low, high, strict=True), strict=True))
         for name, value in given.items():
-            a, b = bounds.get(name, (shapes.number(first[name]),) * 2)
+            a, b = self._bounds.get(name, (shapes.number(first[name]),) * 2)
             if not self.clamped and not a * (1 - 1e-6) <= shapes.number(value) <= b * (1 + 1e-6):
                 raise ValueError(f"{name} must be in {a:g}..{b:g}, the model's space, got {shapes.number(value):g}")
         return torch.stack([torch.as_tensor(given[name], dtype=torch.float64).cpu() for name in self._axes])
@@ -284,6 +287,18 @@ class BRDFSpace:
         table = [shapes.parameters(s) for s in self._analytic]
         varying = tuple(name for name in table[0] if len({shapes.number(row[name]) for row in table}) > 1)
         return varying or tuple(table[0])[:1]
+
+    @cached_property
+    def _bounds(self) -> dict[str, tuple[float, float]]:
+        """Of the parameters that vary."""
+        points = self._simplices.points
+        low, high = points.amin(0).tolist(), points.amax(0).tolist()
+        return dict(zip(self._axes, zip(low, high, strict=True), strict=True))
+
+    @cached_property
+    def _rows(self) -> Tensor:
+        """Which samples are analytic."""
+        return torch.tensor([h for h, s in enumerate(self.samples) if isinstance(s, Analytic)])
 
     @cached_property
     def _simplices(self) -> Simplices:

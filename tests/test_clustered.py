@@ -18,7 +18,7 @@ import ptt
 from ptt.assembly import Transfer
 from ptt.clustering import _eigenvectors_for, _Region
 from ptt.meshes import Part
-from ptt.models import light_maps, slots
+from ptt.models import cluster_steps, slots
 from ptt.models.indirect import blurs, responses
 from ptt.ops import haar, harmonics, lobes, mesh, octahedral
 from ptt.ops.sphere import Cube
@@ -92,7 +92,8 @@ def written_out(
     t0 = torch.einsum("e,mei->im", weights, region.direct[k].double().unflatten(1, (e, -1)))
     u0 = t0 @ light.flatten(1).T[region.columns[k]]
     t1 = (
-        torch.einsum("e,nqes->qsn", weights, region.one[k].double().reshape(-1, q, e, 16)) @ region.lighting[k].double()
+        torch.einsum("e,nqes->qsn", weights, region.one[k].double().reshape(-1, q, e, 16))
+        @ region.lighting[k].double().T
     )
     t2 = torch.einsum("e,lpe->pl", weights, region.two[k].double().reshape(-1, len(pairs), e))
     h = slots.coefficients(model.slots, basis, [materials[name] for name in own.names]).double()
@@ -111,7 +112,7 @@ def written_out(
         rho = lobes.lookup(brdf.lobe_tables(material.shape).double(), wo)
         cell, share = octahedral.corners(octahedral.hemi_octahedral(axis), 32, wrap=False)
         cuts = region.cuts[int(region.place[v - own.spans[r][0]])].view(torch.uint8).reshape(32 * 32, -1)
-        through = share @ cuts[cell, : len(brdf.angles)].double() / 255
+        through = share @ cuts[octahedral.tiles(32)[cell], : len(brdf.angles)].double() / 255
         above = environment.radiance((axis @ frame)[None].float())[0].double() - 1
         blurred = torch.stack([1 + lobes.zonal(a, 2)[1] * above for a in brdf.angles])
         z = (blurs(brdf.angles) * harmonics.evaluate(axis, 4)) @ harmonics.hemispherical(4).T
@@ -149,7 +150,8 @@ def tiny() -> ptt.RawTransfer:
 
 def test_as_many_eigenvectors_as_points_are_exact(tiny: ptt.RawTransfer, monkeypatch: pytest.MonkeyPatch) -> None:
     """One cluster a region, nothing left out: every point's own T0, to float32, under the same texels."""
-    monkeypatch.setattr(light_maps, "texels", lambda *_: SKY.project(Cube(16)).reshape(-1, 3))
+    lighting = haar.analyse(SKY.project(Cube(16)).movedim(-1, 0))
+    monkeypatch.setattr(cluster_steps, "PLAIN", cluster_steps.PLAIN._replace(lighting=lambda *_: lighting))
     space = ptt.BRDFSpace.blinn_phong((2.0, 8.0, 32.0))
     brdf, basis = ptt.TensorBRDF.fit(space, ranks=(3, 4, 4), separated=0), ptt.BRDFBasis.fit(space, 1)
     direct = tiny.part(slice(None))
@@ -386,10 +388,11 @@ def test_inference_mode_results_do_not_leak_into_training(relighter: ptt.Transfe
 
 
 def test_compiled_agrees_with_eager(clustered_model: ptt.TransferModel) -> None:
+    """To what 16 bits hold: eight of the light in the eager one, eleven of what points send out in the compiled one."""
     eager, compiled = (ptt.TransferRelighter(clustered_model, compiled=c) for c in (False, True))
     for eye in ([1.0, 2.0, 3.0], [-2.0, 1.0, 0.0]):  # a region with lobes, one without
         a, b = (r(SKY, {}, torch.tensor(eye)) for r in (eager, compiled))
-        assert torch.allclose(a, b, rtol=1e-4, atol=1e-5)
+        assert ptt.relative_rmse(b, a) < 5e-4
 
 
 # Degenerate scenes

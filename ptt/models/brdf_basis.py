@@ -85,9 +85,9 @@ class BRDFBasis(nn.Module):
         row = self.table.new_zeros(self.table.shape[1]) if material.shape is None else self.of_shape(material.shape)
         return torch.cat((material.diffuse.to(self.table)[None], row[:, None] * specular))
 
-    def of_shape(self, shape: Shape) -> Tensor:
-        """Coefficients (p,) of a shape."""
-        return self.space.coordinates(shape).to(self.table) @ self.table
+    def of_shape(self, shape: Shape | Tensor) -> Tensor:
+        """Coefficients (p,) of a shape, or of its coordinates (h,) in the space."""
+        return self.space.resolved(shape).to(self.table) @ self.table
 
     def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
         """The functions (..., 1 + p) [1/sr] at local unit directions (..., 3), exact: sample by sample."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -14,28 +15,58 @@ from ptt.models import light_maps, slots
 from ptt.models.cache import Cache
 from ptt.models.indirect import COARSE, COARSEST, ORDER, blurs, responses
 from ptt.models.light_maps import LightMaps
-from ptt.models.point_steps import matrix
 from ptt.models.transfer_model import TransferModel
-from ptt.ops import haar, harmonics, native, relight, view
-from ptt.ops.view import Gloss, Points
+from ptt.ops import harmonics, native, relight
+from ptt.ops.relight import Arriving, Responses, Sent
+from ptt.ops.view import Gloss, Points, view
 
 DULL = 1e-4  # a lobe that reflects no more than this is left out
 
 
-class Lit(NamedTuple):
-    """Under one light: U0, U1 and U2 of every region; the blurred maps (cells, k, c), and the turn of the light."""
+class Operations(NamedTuple):
+    """What the steps are made of."""
 
-    direct: list[Tensor]
-    one: list[Tensor]
-    two: list[Tensor]
+    lighting: Callable[..., Tensor]
+    light_eigen: Callable[..., Tensor]
+    eigen: Callable[..., Tensor]
+    expand: Callable[..., Sent]
+    view: Callable[..., Tensor]
+
+
+PLAIN = Operations(relight.lighting, relight.light_eigen, relight.eigen, relight.expand, view)
+NATIVE = Operations(native.lighting, native.light_eigen, native.eigen, native.expand, native.view)
+
+
+class Lit(NamedTuple):
+    """Under one light: what arrives in every region; the blurred maps (cells, k, c), and the turn of the light."""
+
+    arriving: list[Arriving]
     maps: Tensor
     turn: Tensor
 
 
-class Sent(NamedTuple):
+class Lobes(NamedTuple):
+    """Those that a material has: `Gloss` without the light."""
+
+    which: Tensor
+    rho: Tensor
+    tilts: int
+    specular: Tensor
+    blurs: Tensor
+
+
+class Dressed(NamedTuple):
+    """A region's material: its part of H (1 + p + 1, c), M (c, 1 + o, 1 + i), its lobes."""
+
+    functions: Tensor
+    coupling: Tensor
+    lobes: Lobes | None
+
+
+class Exitant(NamedTuple):
     """With materials: Q and I (b, c, 1 + o + s, w) and the lobes of every region."""
 
-    sent: list[Tensor]
+    sent: list[Sent]
     gloss: list[Gloss | None]
 
 
@@ -47,10 +78,13 @@ class ClusterSteps(nn.Module):
     blurs: Tensor
     directions: Tensor
     shares: Tensor
+    rows: Tensor
+    keep: Tensor
 
     def __init__(self, model: TransferModel, compiled: bool) -> None:
         super().__init__()
-        self.model = model
+        assert model.basis is not None
+        self.model, self.basis = model, model.basis
         self.register_buffer("to_factors", responses(model.brdf), persistent=False)
         self.register_buffer("to_harmonics", harmonics.hemispherical(ORDER).float(), persistent=False)
         self.register_buffer("blurs", blurs(model.brdf.angles).float(), persistent=False)
@@ -64,75 +98,82 @@ class ClusterSteps(nn.Module):
             colours = model.colours[own]
             if bool((colours != 1).any()):
                 self.register_buffer(f"colour{r}", region.in_line(colours), persistent=False)
-        self.slots, self._prepared = model.slots, Cache()
         for name, samples in zip(("directions", "shares"), light_maps.samples(model.grid), strict=True):
             self.register_buffer(name, samples, persistent=False)
-        self._view = native.view if compiled else view.view
-        self._texels = relight.compiled(light_maps.texels) if compiled else light_maps.texels
+        for name, chosen in zip(("rows", "keep"), slots.chosen(model.slots, model.basis.table.shape[1]), strict=True):
+            self.register_buffer(name, chosen, persistent=False)
+        self._prepared, self._outgoing, self._materials = Cache(), Cache(), [Cache() for _ in model.clustered]
+        self._ops = NATIVE if compiled else PLAIN
 
     def incident(self, environment: Environment) -> Lit:
         """Light step."""
         angles, dtype = self.model.brdf.angles, self.to_factors.dtype
         maps: LightMaps = self._prepared(environment.map, lambda: light_maps.light_maps(environment, angles))
         turn = environment.rotation.to(self.to_factors)
-        texels = self._texels(maps.fine.to(dtype), turn, self.directions, self.shares)
-        texels = texels.reshape(*self.model.grid.shape, 3).movedim(-1, 0)  # shape: (c, 6, n, n)
-        haared = haar.analyse(texels)
-        fine, coarse, coarsest = (haared[..., :n, :n].flatten(1) for n in (texels.shape[-1], COARSE, COARSEST))
-        lit = Lit([], [], [], maps.blurred.to(dtype), turn)
+        shape = self.model.grid.shape
+        light = self._ops.lighting(maps.fine.to(dtype), turn, self.directions, self.shares, shape)
+        fine, coarse, coarsest = (light[..., :n, :n].flatten(1) for n in (shape[-1], COARSE, COARSEST))
+        lit = Lit([], maps.blurred.to(dtype), turn)
         for region in self.model.clustered:
-            e, q = region.eigenvectors, len(region.slots)
-            reduced = coarse @ region.lighting.transpose(1, 2)  # shape: (k, c, n)
-            own = fine.index_select(1, region.columns.flatten()).unflatten(1, region.columns.shape).transpose(0, 1)
-            direct = relight.light_eigen(region.direct, own)
-            lit.direct.append(direct.unflatten(2, (e, -1)))
-            lit.one.append(relight.light_eigen(region.one, reduced).unflatten(2, (q, e, ORDER**2)))
-            lit.two.append(relight.light_eigen(region.two, coarsest).unflatten(2, (len(region.pairs), e)))
+            e, q, pairs = region.eigenvectors, len(region.slots), len(region.pairs)
+            direct = self._ops.light_eigen(region.direct, fine, region.columns).unflatten(2, (e, -1))
+            reduced = self._ops.light_eigen(region.lighting, coarse)  # shape: (k, c, n)
+            one = self._ops.light_eigen(region.one, reduced).unflatten(2, (q, e, ORDER**2))
+            two = self._ops.light_eigen(region.two, coarsest).unflatten(2, (pairs, e))
+            lit.arriving.append(Arriving(direct, one, two))
         return lit
 
-    def exitant(self, lit: Lit, materials: Sequence[Material]) -> Sent:
+    def exitant(self, lit: Lit, materials: Sequence[Material]) -> Exitant:
         """BRDF step."""
-        assert self.model.basis is not None
-        h = slots.coefficients(self.slots, self.model.basis, materials).T  # shape: (c, q)
-        out = Sent([], [])
-        for r, (region, material) in enumerate(zip(self.model.clustered, materials, strict=True)):
-            gloss, incident, light = self._gloss(material, lit), lit.direct[r], None
-            if region.slots or region.pairs:
-                last, first = self.get_buffer(f"pairs{r}").T
-                own = h[:, self.get_buffer(f"slots{r}")]
-                light = relight.bounced(lit.one[r], lit.two[r], own, h[:, last] * h[:, first])
-                incident = incident + light @ self.to_factors
-            eigen = relight.exitant(matrix(self.model.brdf, material), incident)
-            if light is not None and gloss is not None:
-                eigen = torch.cat((eigen, light @ self.to_harmonics), 3)
-            sent = relight.expand(eigen, region.weights, region.cluster)
-            if f"colour{r}" in self._buffers:
-                colour = self.get_buffer(f"colour{r}").unflatten(1, (len(sent), -1)).transpose(0, 1)  # shape: (b, c, w)
-                sent = torch.cat((sent[:, :, :1] * colour[:, :, None], sent[:, :, 1:]), 2)
-            out.sent.append(sent)
-            out.gloss.append(gloss)
+        buffers = [*self.model.brdf.buffers(), *self.basis.buffers()]
+        dressed: list[Dressed] = [
+            cache((material, buffers), partial(self._dressed, material))
+            for cache, material in zip(self._materials, materials, strict=True)
+        ]
+        functions = torch.cat([one.functions for one in dressed])
+        h = (functions[self.rows] * self.keep.to(functions)).T  # shape: (c, q)
+        out = Exitant([], [])
+        for r, (region, one) in enumerate(zip(self.model.clustered, dressed, strict=True)):
+            last, first = self.get_buffer(f"pairs{r}").T
+            own, pairs = h[:, self.get_buffer(f"slots{r}")], h[:, last] * h[:, first]
+            glossy = one.lobes is not None
+            eigen = self._ops.eigen(
+                lit.arriving[r], own, pairs, one.coupling, Responses(self.to_factors, self.to_harmonics), glossy
+            )
+            out.sent.append(self._ops.expand(eigen, region.weights, region.cluster))
+            out.gloss.append(self._gloss(one.lobes, lit))
         return out
 
-    def _gloss(self, material: Material, lit: Lit) -> Gloss | None:
-        """The lobes that a material has."""
-        if material.shape is None or not self.model.brdf.angles:
-            return None
-        tables = self.model.brdf.lobe_tables(material.shape)
+    def _dressed(self, material: Material) -> Dressed:
+        brdf, shape = self.model.brdf, None
+        if material.shape is not None:
+            shape = brdf.space.coordinates(material.shape)
+        functions, coupling = slots.functions_of(self.basis, material, shape), brdf.coupling(material, shape)
+        if shape is None or not brdf.angles:
+            return Dressed(functions, coupling, None)
+        tables = brdf.lobe_tables(shape)
         which = torch.nonzero(tables.detach().abs().amax((1, 2)) > DULL)[:, 0]
         if not len(which):
-            return None
-        maps = lit.maps if len(which) == len(tables) else lit.maps[:, which]
-        rho, maps = tables[which].flatten(1).T.contiguous(), maps.flatten(1)
+            return Dressed(functions, coupling, None)
+        rho = tables[which].flatten(1).T.contiguous()
         specular = material.specular.to(rho)
-        return Gloss(which, rho, tables.shape[2], specular, maps, lit.turn, self.blurs[which])
+        return Dressed(functions, coupling, Lobes(which, rho, tables.shape[2], specular, self.blurs[which]))
 
-    def radiance(self, exitant: Sent, eye: Tensor) -> Tensor:
+    def _gloss(self, lobes: Lobes | None, lit: Lit) -> Gloss | None:
+        """Lobes under a light."""
+        if lobes is None:
+            return None
+        maps = lit.maps if len(lobes.which) == lit.maps.shape[1] else lit.maps[:, lobes.which]
+        return Gloss(*lobes[:4], maps=maps.flatten(1), turn=lit.turn, blurs=lobes.blurs)
+
+    def radiance(self, exitant: Exitant, eye: Tensor) -> Tensor:
         """View step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
-        u_o = self.model.brdf.u_o.flatten(1).T.contiguous()
-        rows = []
+        u_o = self.model.brdf.u_o
+        outgoing, rows = self._outgoing(u_o, lambda: u_o.flatten(1).T.contiguous()), []
         for r, (region, (first, end)) in enumerate(zip(self.model.clustered, self.model.receivers.spans, strict=True)):
-            points = Points(self.get_buffer(f"position{r}"), self.get_buffer(f"frame{r}"), region.cuts)
+            position, frame, colour = (self._buffers.get(f"{name}{r}") for name in ("position", "frame", "colour"))
+            assert position is not None and frame is not None
+            points = Points(position, frame, colour, region.cuts, region.place)
             toward = eye if eye.ndim == 1 else region.in_line(eye[first:end])
-            seen = self._view(points, toward, u_o, exitant.sent[r], exitant.gloss[r])
-            rows.append(seen.index_select(0, region.place))
+            rows.append(self._ops.view(points, toward, outgoing, exitant.sent[r], exitant.gloss[r]))
         return torch.cat(rows)

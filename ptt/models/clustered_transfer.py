@@ -17,6 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from ptt.models.indirect import ORDER
+from ptt.ops.memory import in_large_pages
 from ptt.saved import Shapes
 
 WIDTH = 128  # points in a block
@@ -31,7 +32,7 @@ class ClusteredTransfer(nn.Module):
     cluster (b,) int64, place (v,) int64: of each block; where each point lies in the blocks (block * WIDTH + lane)
     weights (b, e, WIDTH)
     columns (k, m) int64, direct (k, m, e * (1 + i)): T0 of the eigen-points, at some positions l of the lighting
-    lighting (k, n, l'): the cluster's own lighting axis, in coefficients of the coarse one
+    lighting (k, l', n): the cluster's own lighting axis, from coefficients of the coarse one
     one (k, n, q * e * s): T1 on it; two (k, l'', pairs * e): T2 on the coarsest lighting
     cuts (b * WIDTH, cells) int32: fractional visibility of the lobes, a byte each; cells = 0 where there are none
     """
@@ -50,7 +51,7 @@ class ClusteredTransfer(nn.Module):
         super().__init__()
         self.slots, self.pairs = list(slots), [list(pair) for pair in pairs]
         for name in ("cluster", "place", "weights", "columns", "direct", "lighting", "one", "two", "cuts"):
-            self.register_buffer(name, parts[name])
+            self.register_buffer(name, in_large_pages(parts[name]))
 
     @property
     def points(self) -> int:
@@ -70,7 +71,7 @@ class ClusteredTransfer(nn.Module):
 
     def config(self) -> dict[str, Any]:
         """What `expected` and `restore` need beside the tensors."""
-        k, n, coarse = self.lighting.shape
+        k, coarse, n = self.lighting.shape
         return {
             "blocks": len(self.cluster),
             "clusters": k,
@@ -96,7 +97,7 @@ class ClusteredTransfer(nn.Module):
             "weights": (torch.float32, (b, e, WIDTH)),
             "columns": (torch.int64, (k, m)),
             "direct": (stored, (k, m, e * factors)),
-            "lighting": (torch.float32, (k, n, coarse)),
+            "lighting": (torch.float32, (k, coarse, n)),
             "one": (stored, (k, n, q * e * ORDER**2)),
             "two": (stored, (k, coarsest, pairs * e)),
             "cuts": (torch.int32, (b * WIDTH, config["cuts"])),

@@ -18,9 +18,8 @@ from torch import Tensor
 
 from ptt.environment import Environment
 from ptt.ops import lobes
-from ptt.ops.octahedral import Octahedral, corners, octahedral
+from ptt.ops.octahedral import Octahedral
 from ptt.ops.sphere import Cube
-from ptt.ops.view import mix
 
 FINE = 256  # cells along an edge of the map that lighting is read from
 SIDE = 128  # of the blurred ones
@@ -28,7 +27,8 @@ SOURCE = {7.0: 128, 14.0: 64, 21.0: 32}  # of what is blurred
 
 
 class LightMaps(NamedTuple):
-    """fine (FINE * FINE, 3): means of its cells; blurred (SIDE * SIDE, k, 3): mean light under each lobe."""
+    """fine (FINE * FINE, 4): means of its cells, and a zero that aligns them; blurred (SIDE * SIDE, k, 3): mean light
+    under each lobe."""
 
     fine: Tensor
     blurred: Tensor
@@ -47,25 +47,15 @@ def light_maps(environment: Environment, angles: Sequence[float]) -> LightMaps:
             blurred[:, k] = summed / Octahedral(n).solid_angles().reshape(-1, 1).to(fine)
         else:
             blurred[:, k] = _blur(angle, n).to(fine) @ summed
-    return LightMaps(fine.reshape(-1, 3), blurred)
-
-
-def texels(fine: Tensor, turn: Tensor, directions: Tensor, shares: Tensor) -> Tensor:
-    """Means (cells, 3) of a fine map (FINE * FINE, 3) over the cells of a grid, from their `samples`.
-
-    turn (3, 3): of the light, world = turn @ map. Against `Environment.project`: exact for a constant; one bright texel
-    keeps its energy to 1 or 2 %, and is blurred by about its own width.
-    """
-    index, weights = corners(octahedral(directions @ turn), FINE, wrap=True)  # shape: (cells, 4, 4)
-    return mix(fine, index.flatten(1), (weights * shares[..., None]).flatten(1))
+    return LightMaps(torch.nn.functional.pad(fine.reshape(-1, 3), (0, 1)), blurred)
 
 
 def samples(grid: Cube) -> tuple[Tensor, Tensor]:
-    """Directions (cells, 4, 3) and shares (cells, 4) of the quarters of each cell."""
+    """For `relight.lighting`: directions (4, 3, cells) and shares (4, cells) of the quarters of each cell."""
     fine, n = grid.refine(2), grid.n
-    directions = fine.directions().reshape(6, n, 2, n, 2, 3).permute(0, 1, 3, 2, 4, 5).reshape(-1, 4, 3)
-    solid = fine.solid_angles().reshape(6, n, 2, n, 2).permute(0, 1, 3, 2, 4).reshape(-1, 4)
-    return directions.float(), (solid / solid.sum(1, keepdim=True)).float()
+    directions = fine.directions().reshape(6, n, 2, n, 2, 3).permute(2, 4, 5, 0, 1, 3).reshape(4, 3, -1)
+    solid = fine.solid_angles().reshape(6, n, 2, n, 2).permute(2, 4, 0, 1, 3).reshape(4, -1)
+    return directions.float().contiguous(), (solid / solid.sum(0)).float()
 
 
 @cache

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import torch
@@ -10,7 +9,6 @@ from torch import Tensor, nn
 
 from ptt.environment import Environment
 from ptt.materials import Material
-from ptt.models.tensor_brdf import TensorBRDF
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import haar, relight
 
@@ -34,7 +32,7 @@ class PointSteps(nn.Module):
 
     def exitant(self, incident: Tensor, materials: Sequence[Material]) -> Tensor:
         """BRDF step: Q (c, o, v), what each point sends out through each outgoing factor."""
-        matrices = torch.stack([matrix(self.model.brdf, material) for material in materials], 1)
+        matrices = torch.stack([self.model.brdf.coupling(material) for material in materials], 1)
         q = relight.brdf_step(matrices, incident, self.model.receivers.spans)
         return torch.cat((q[:, :1] * self.model.colours.T[:, None], q[:, 1:]), dim=1)
 
@@ -44,15 +42,3 @@ class PointSteps(nn.Module):
         local = torch.einsum("vij,vj->vi", self.model.frames, toward)
         factors = self.model.brdf.outgoing(local)
         return self._view_step(torch.cat((torch.ones_like(factors[:1]), factors)), exitant)
-
-
-def matrix(brdf: TensorBRDF, material: Material) -> Tensor:
-    """M (c, 1 + o, 1 + i) of a material: diffuse to diffuse, outgoing to incident factors."""
-    core = brdf.core
-    diffuse = material.diffuse.to(core)[:, None, None] / math.pi
-    if material.shape is None:
-        specular = core.new_zeros(3, *core.shape[1:])
-    else:
-        specular = material.specular.to(core)[:, None, None] * brdf.matrix(material.shape)
-    top = nn.functional.pad(diffuse, (0, core.shape[2]))
-    return torch.cat((top, nn.functional.pad(specular, (1, 0))), dim=1)

@@ -45,18 +45,26 @@ def slots_of(receivers: Receivers, functions: int) -> list[Slot]:
     return found
 
 
+def chosen(slots: Sequence[Slot], functions: int) -> tuple[Tensor, Tensor]:
+    """For `coefficients`: rows (q,) int64 of all regions' functions, and the colour channels (q, 3) that stay."""
+    rows = [slot.region * (2 + functions) + slot.function % (2 + functions) for slot in slots]
+    keep = [[float(slot.channel in (-1, c)) for c in range(3)] for slot in slots]
+    return torch.tensor(rows, dtype=torch.int64), torch.tensor(keep).reshape(-1, 3)
+
+
+def functions_of(basis: BRDFBasis, material: Material, shape: Tensor | None) -> Tensor:
+    """Coefficients (1 + p + 1, 3) of a material: diffuse, those of the basis, that of its own shape.
+
+    shape: coordinates (h,) in the space, None where the material has none
+    """
+    diffuse, specular = material.diffuse.to(basis.table), material.specular.to(basis.table)
+    row = basis.table.new_zeros(basis.table.shape[1]) if shape is None else basis.of_shape(shape)
+    return torch.cat((diffuse[None], row[:, None] * specular, specular[None]))
+
+
 def coefficients(slots: Sequence[Slot], basis: BRDFBasis, materials: Sequence[Material]) -> Tensor:
     """H (q, 3), of materials in the order of the regions; differentiable in their weights and parameters."""
-    rows = []
-    tables = [basis.coefficients(material) if material.shape else None for material in materials]
-    for slot in slots:
-        material, table = materials[slot.region], tables[slot.region]
-        if slot.function == 0:
-            colour = material.diffuse.to(basis.table)
-            keep = torch.arange(3) == slot.channel if slot.channel >= 0 else torch.ones(3, dtype=torch.bool)
-            rows.append(colour * keep.to(colour))
-        elif slot.function == OWN:
-            rows.append(material.specular.to(basis.table))
-        else:
-            rows.append(basis.table.new_zeros(3) if table is None else table[slot.function])
-    return torch.stack(rows) if rows else basis.table.new_zeros(0, 3)
+    shapes = [basis.space.coordinates(m.shape) if m.shape else None for m in materials]
+    functions = [functions_of(basis, *pair) for pair in zip(materials, shapes, strict=True)]
+    rows, keep = chosen(slots, basis.table.shape[1])
+    return torch.cat(functions)[rows] * keep.to(basis.table)

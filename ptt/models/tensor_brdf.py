@@ -119,14 +119,34 @@ class TensorBRDF(nn.Module):
         }
         return TensorBRDF(space, **parts)
 
-    def matrix(self, shape: Shape) -> Tensor:
-        """The core of one shape (o, i): f(wi, wo) = outgoing(wo) . matrix . incident(wi), without its lobes."""
-        coordinates = self.space.coordinates(shape).to(self.core) @ self.u_h
-        return torch.einsum("h,hoi->oi", coordinates, self.core)
+    def matrix(self, shape: Shape | Tensor) -> Tensor:
+        """The core (o, i) of a shape: f(wi, wo) = outgoing(wo) . matrix . incident(wi), without its lobes.
 
-    def lobe_tables(self, shape: Shape) -> Tensor:
-        """The fractions (k, p, t) of the light that the lobes of one shape reflect; read them by `lobes.lookup`."""
-        return torch.einsum("h,hkpt->kpt", self.space.coordinates(shape).to(self.peaks), self.peaks)
+        A tensor (h,) in place of the shape: its coordinates in the space.
+        """
+        mixture = self.space.resolved(shape).to(self.core) @ self.u_h
+        return torch.einsum("h,hoi->oi", mixture, self.core)
+
+    def lobe_tables(self, shape: Shape | Tensor) -> Tensor:
+        """The fractions (k, p, t) of the light that the lobes of a shape reflect; read them by `lobes.lookup`.
+
+        A tensor (h,) in place of the shape: its coordinates in the space.
+        """
+        return torch.einsum("h,hkpt->kpt", self.space.resolved(shape).to(self.peaks), self.peaks)
+
+    def coupling(self, material: Material, shape: Tensor | None = None) -> Tensor:
+        """M (3, 1 + o, 1 + i) of a material: diffuse to diffuse, and its specular colour times `matrix`.
+
+        shape: the coordinates (h,) of the material's shape, where they are known
+        """
+        diffuse = material.diffuse.to(self.core)[:, None, None] / math.pi
+        if material.shape is None:
+            specular = self.core.new_zeros(3, *self.core.shape[1:])
+        else:
+            matrix = self.matrix(material.shape if shape is None else shape)
+            specular = material.specular.to(self.core)[:, None, None] * matrix
+        top = nn.functional.pad(diffuse, (0, self.core.shape[2]))
+        return torch.cat((top, nn.functional.pad(specular, (1, 0))), dim=1)
 
     def importance(self) -> Tensor:
         """How much each incident factor adds to the picture (1 + i,), the diffuse one first.

@@ -24,7 +24,8 @@ class TransferRelighter(nn.Module):
     """relighter(environment, materials, view) -> radiance (v, 3), linear RGB, in the map's units.
 
     model: what `compress` made, or `TransferModel.load`
-    compiled: the view step by a fused kernel and lookups by torch.compile; the first call then takes some seconds
+    compiled: every step by kernels in C++, built on first use, which takes some seconds; what points send out is then
+        rounded to 16 bits, 2e-4 of it. Without clusters: the view step by torch.compile
 
     Each of the three inputs can change without the work of the others: results are kept for as long as what they
     were made from is unchanged, and never longer. Differentiable in the map, in the weights of the materials and
@@ -40,6 +41,7 @@ class TransferRelighter(nn.Module):
         self.model = model
         self.steps = (ClusterSteps if len(model.regions) else PointSteps)(model, compiled)
         self._incident, self._exitant = Cache(), Cache()
+        self._parts = list(model.modules())
 
     def forward(self, environment: Environment, materials: Mapping[str, Material], view: View) -> Tensor:
         """Radiance (v, 3) of every point toward the viewer.
@@ -58,7 +60,7 @@ class TransferRelighter(nn.Module):
 
     def incident(self, environment: Environment) -> Any:
         """Light step: what depends on the light alone."""
-        inputs = environment, list(self.model.buffers())
+        inputs = environment, [buffer for part in self._parts for buffer in part._buffers.values()]
         return self._incident(inputs, lambda: self.steps.incident(environment))
 
     def exitant(self, environment: Environment, materials: Mapping[str, Material]) -> Any:

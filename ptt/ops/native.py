@@ -1,150 +1,213 @@
-"""The view step by a kernel in C++ (`view.cpp`), compiled on first use; the plain one where the kernel does not fit.
+"""Steps of relighting by kernels in C++; by the plain functions where a kernel does not fit.
 
-`view` takes and gives what `ptt.ops.view.view` does. The kernel is for float32 on the CPU without gradients. It is
-built by the compiler that `torch.compile` finds, once for each processor, in ~/.cache/ptt (XDG_CACHE_HOME).
+They take and give what those of `ptt.ops.relight` and `ptt.ops.view` do. The kernels are for the CPU without gradients,
+in float32 with three channels; what points send out is rounded to 16 bits.
 """
 
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import math
-import os
-import subprocess
-import tempfile
-import warnings
-from functools import cache
-from pathlib import Path
+from collections.abc import Sequence
+from ctypes import c_int, c_int32, c_int64, c_void_p
 
 import torch
 from torch import Tensor
 from torch.autograd.forward_ad import unpack_dual
 
+from ptt.ops import relight
 from ptt.ops import view as plain
+from ptt.ops.kernels import library
+from ptt.ops.octahedral import TILE
+from ptt.ops.relight import Arriving, Responses, Sent
 from ptt.ops.view import Gloss, Points
 
-SOURCE = Path(__file__).with_name("view.cpp")
-# not -ffast-math, with which GCC sets the process to flush denormals
-FLAGS = "-std=c++17 -O3 -march=native -mprefer-vector-width=512 -fno-math-errno -fno-trapping-math -fopenmp -fPIC -w"
-LANES = 16  # a multiple of those of the kernel
-ORDERS = (0, 16)
+STORED = (torch.float32, torch.float16, torch.bfloat16)
+INDEX = (torch.int64,)
+WIDTH, GROUP = 64, 16  # multiples of what `expand`, and the others, take at a time
+HARMONICS, PAD = 16, 16  # of order 4; of the tables of `eigen`
 LOBES = 4
 
-POINTERS = ("position", "frame", "eye", "outgoing", "sent", "rho", "specular", "maps", "turn", "blurs", "cuts", "which")
-LONGS = ("blocks", "width", "rows")
+POINTERS = (
+    *("position", "frame", "colour", "eye", "outgoing", "sent", "unit", "rho", "specular", "maps", "turn", "blurs"),
+    *("cuts", "which", "place", "line", "out"),
+)
+LONGS = ("blocks", "width", "rows", "points")
 INTS = ("distant", "factors", "harmonics", "tilts", "disk", "cells", "map", "threads")
 
 
-class _Arguments(ctypes.Structure):
+class _Eigen(ctypes.Structure):
     _fields_ = (
-        *((name, ctypes.c_void_p) for name in (*POINTERS, "out")),
-        *((name, ctypes.c_int64) for name in LONGS),
-        *((name, ctypes.c_int32) for name in INTS),
+        *((name, c_void_p) for name in ("direct", "one", "two", "h", "pairs", "from_direct", "from_light", "out")),
+        *((name, c_int64) for name in ("clusters", "eigen", "factors", "slots", "again", "width", "padded")),
+        ("threads", c_int32),
     )
 
 
-def view(points: Points, eye: Tensor, outgoing: Tensor, sent: Tensor, gloss: Gloss | None) -> Tensor:
-    """B (n, c), as `ptt.ops.view.view`; where a point is at the eye, its lobes are finite."""
-    kernel = _kernel() if _fits(points, eye, outgoing, sent, gloss) else None
-    if kernel is None:
+class _View(ctypes.Structure):
+    _fields_ = (
+        *((name, c_void_p) for name in POINTERS),
+        *((name, c_int64) for name in LONGS),
+        *((name, c_int32) for name in INTS),
+    )
+
+
+def available() -> bool:
+    """Whether the kernels can be built here; the first call builds them, or warns."""
+    return library() is not None
+
+
+def lighting(fine: Tensor, turn: Tensor, directions: Tensor, shares: Tensor, shape: Sequence[int]) -> Tensor:
+    """L (3, *shape), as `ptt.ops.relight.lighting`."""
+    *squares, n, _ = shape
+    count, cells = math.prod(squares), math.prod(shape)
+    fits = _ready(fine, turn, directions, shares) and fine.shape[1] == 4 and _square(len(fine)) and cells % GROUP == 0
+    fits = fits and turn.shape == (3, 3) and directions.shape == (4, 3, cells) and shares.shape == (4, cells)
+    kernels = library() if fits else None
+    if kernels is None:
+        return relight.lighting(fine, turn, directions, shares, shape)
+    out = fine.new_empty(3, *shape)
+    tensors = [
+        _at(t) for t in (fine.contiguous(), turn.contiguous(), directions.contiguous(), shares.contiguous(), out)
+    ]
+    sizes = [c_int64(size) for size in (_side(len(fine)), count, n)]
+    kernels.ptt_lighting(*tensors, *sizes, c_int(torch.get_num_threads()))
+    return out
+
+
+def light_eigen(transfer: Tensor, lighting: Tensor, columns: Tensor | None = None) -> Tensor:
+    """U (k, c, x), as `ptt.ops.relight.light_eigen`, summed in float32."""
+    k, rows, x = transfer.shape
+    fits = _ready(lighting) and _ready(transfer, types=STORED) and transfer.is_contiguous()
+    if columns is None:
+        fits = fits and lighting.shape in ((3, rows), (k, 3, rows))
+    else:
+        fits = fits and _ready(columns, types=INDEX) and columns.shape == (k, rows) and lighting.shape[:-1] == (3,)
+    kernels = library() if fits else None
+    if kernels is None:
+        return relight.light_eigen(transfer, lighting, columns)
+    lighting, out = lighting.contiguous(), lighting.new_empty(k, 3, x)
+    columns = None if columns is None else columns.contiguous()
+    cluster, channel = (0 if lighting.ndim == 2 else 3 * rows), lighting.shape[-1]
+    sizes = [c_int64(size) for size in (cluster, channel, rows, x, k)]
+    tensors = [_at(t) for t in (lighting, columns, transfer, out)]
+    numbers = c_int(STORED.index(transfer.dtype)), c_int(torch.get_num_threads())
+    kernels.ptt_light(*tensors, *sizes, *numbers)
+    return out
+
+
+def eigen(arriving: Arriving, h: Tensor, pairs: Tensor, coupling: Tensor, responses: Responses, glossy: bool) -> Tensor:
+    """Q and I (k, c, e, 1 + o + s), as `ptt.ops.relight.eigen`."""
+    (k, c, e, i), q, p = arriving.direct.shape, arriving.one.shape[2], arriving.two.shape[2]
+    to_factors, to_harmonics = responses
+    fits = _ready(*arriving, h, pairs, coupling, *responses) and c == 3 and h.shape == (3, q) and pairs.shape == (3, p)
+    fits = fits and arriving.one.shape == (k, 3, q, e, HARMONICS) and arriving.two.shape == (k, 3, p, e)
+    fits = fits and coupling.shape[::2] == (3, i) and to_factors.shape == (HARMONICS, i)
+    fits = fits and to_harmonics.shape == (HARMONICS, HARMONICS)
+    kernels = library() if fits else None
+    if kernels is None:
+        return relight.eigen(arriving, h, pairs, coupling, responses, glossy)
+    glossy = glossy and bool(q or p)
+    out = h.new_empty(k, 3, e, coupling.shape[1] + HARMONICS * glossy)
+    padding = -out.shape[3] % PAD
+    from_direct = torch.nn.functional.pad(coupling.transpose(1, 2), (0, out.shape[3] - coupling.shape[1] + padding))
+    from_light = to_factors @ coupling.transpose(1, 2)  # shape: (3, s, 1 + o)
+    harmonics = [to_harmonics.expand(3, -1, -1)] if glossy else []
+    from_light = torch.nn.functional.pad(torch.cat((from_light, *harmonics), 2), (0, padding))
+    inputs = [t.contiguous() for t in (*arriving, h, pairs, from_direct, from_light)]
+    sizes = (k, e, i, q, p, out.shape[3], out.shape[3] + padding, torch.get_num_threads())
+    kernels.ptt_eigen(ctypes.byref(_Eigen(*(t.data_ptr() for t in (*inputs, out)), *sizes)))
+    return out
+
+
+def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Sent:
+    """Values, as `ptt.ops.relight.expand`, in float16, scaled so that none overflows, and in smaller blocks."""
+    (_, c, e, x), (b, _, w) = eigen.shape, weights.shape
+    fits = _ready(eigen, weights) and weights.is_contiguous() and _ready(cluster, types=INDEX)
+    fits = fits and w % WIDTH == 0 and weights.shape[1] == e and cluster.shape == (b,)
+    kernels = library() if fits else None
+    if kernels is None:
+        return relight.expand(eigen, weights, cluster)
+    eigen, cluster = eigen.contiguous(), cluster.contiguous()
+    groups = b * w // GROUP
+    sent = Sent(torch.empty(groups, c, x, GROUP, dtype=torch.float16), torch.empty(groups))
+    sizes = [c_int64(size) for size in (b, c, e, x, w)]
+    tensors = [_at(t) for t in (eigen, weights, cluster, *sent)]
+    kernels.ptt_expand(*tensors, *sizes, c_int(torch.get_num_threads()))
+    return sent
+
+
+def view(points: Points, eye: Tensor, outgoing: Tensor, sent: Sent, gloss: Gloss | None) -> Tensor:
+    """B (v, c), as `ptt.ops.view.view`; where a point is at the eye, its lobes are finite."""
+    kernels = library() if _fits(points, eye, outgoing, sent, gloss) else None
+    if kernels is None:
         return plain.view(points, eye, outgoing, sent, gloss)
-    b, c, rows, width = sent.shape
+    b, c, rows, width = sent.values.shape
     outgoing, eye = outgoing.contiguous(), eye.contiguous()
-    out = sent.new_empty(b * width, c)
-    tensors = {"position": points.position, "frame": points.frame, "eye": eye, "outgoing": outgoing, "sent": sent}
-    numbers = {"blocks": b, "width": width, "rows": rows, "threads": torch.get_num_threads()}
+    line, out = outgoing.new_empty(b * width, c), outgoing.new_empty(len(points.place), c)
+    tensors = {"position": points.position, "frame": points.frame, "place": points.place, "eye": eye, "line": line}
+    tensors |= {"outgoing": outgoing, "sent": sent.values, "unit": sent.unit, "out": out}
+    numbers = {"blocks": b, "width": width, "rows": rows, "points": len(out), "threads": torch.get_num_threads()}
     numbers |= {"distant": eye.ndim == 2, "factors": 1 + outgoing.shape[1], "disk": _side(len(outgoing))}
+    if points.colour is not None:
+        tensors["colour"] = points.colour
     if gloss is not None:
         tensors |= {name: getattr(gloss, name).contiguous() for name in ("rho", "specular", "maps", "turn", "blurs")}
         tensors |= {"which": gloss.which.contiguous(), "cuts": points.cuts}
         numbers |= {"harmonics": rows - numbers["factors"], "tilts": gloss.tilts}
         numbers |= {"cells": _side(points.cuts.shape[1]), "map": _side(len(gloss.maps))}
     pointers = {name: tensor.data_ptr() for name, tensor in tensors.items()}
-    arguments = _Arguments(out=out.data_ptr(), **pointers, **numbers)
-    kernel.ptt_view(ctypes.byref(arguments), 0 if gloss is None else len(gloss.which))
+    kernels.ptt_view(ctypes.byref(_View(**pointers, **numbers)), 0 if gloss is None else len(gloss.which))
     return out
 
 
-def available() -> bool:
-    """Whether the kernel can be built here; the first call builds it, or warns."""
-    return _kernel() is not None
-
-
-def _fits(points: Points, eye: Tensor, outgoing: Tensor, sent: Tensor, gloss: Gloss | None) -> bool:
-    """Whether the kernel is for these arguments."""
-    if torch.compiler.is_compiling():
-        return False
-    large = [points.position, points.frame, sent]
+def _fits(points: Points, eye: Tensor, outgoing: Tensor, sent: Sent, gloss: Gloss | None) -> bool:
+    """Whether the kernel of the view step is for these arguments."""
+    values = sent.values
+    large = [points.position, points.frame, sent.unit, *([] if points.colour is None else [points.colour])]
     small = [eye, outgoing]
-    n = sent.shape[0] * sent.shape[-1]
-    shapes = sent.ndim == 4 and sent.shape[1] == 3 and sent.shape[3] % LANES == 0 and eye.shape in ((3,), (3, n))
+    n = values.shape[0] * values.shape[-1]
+    shapes = values.ndim == 4 and values.shape[1] == 3 and values.shape[3] % GROUP == 0 and eye.shape in ((3,), (3, n))
     shapes = shapes and points.position.shape == (3, n) and points.frame.shape == (3, 3, n) and _square(len(outgoing))
+    shapes = (
+        shapes
+        and all(t.shape == (3, n) for t in large[3:])
+        and sent.unit.shape == values.shape[:1]
+        and values.shape[2] > outgoing.shape[1]
+    )
     if gloss is not None:
         small += [gloss.rho, gloss.specular, gloss.maps, gloss.turn, gloss.blurs]
         k, cuts = len(gloss.which), points.cuts
         shapes = shapes and 0 < k <= LOBES and gloss.rho.shape == (gloss.tilts, k) and gloss.specular.shape == (3,)
         shapes = shapes and gloss.turn.shape == (3, 3) and _square(len(gloss.maps)) and gloss.maps.shape[1] == 3 * k
-        shapes = shapes and (sent.shape[2] - 1 - outgoing.shape[1]) in ORDERS and gloss.blurs.shape[0] == k
-        shapes = shapes and (sent.shape[2] == 1 + outgoing.shape[1] or gloss.blurs.shape[1] == ORDERS[1])
+        shapes = shapes and (values.shape[2] - 1 - outgoing.shape[1]) in (0, HARMONICS) and gloss.blurs.shape[0] == k
+        shapes = shapes and (values.shape[2] == 1 + outgoing.shape[1] or gloss.blurs.shape[1] == HARMONICS)
         shapes = shapes and cuts.shape[0] == n and _square(cuts.shape[1]) and cuts.is_contiguous()
-        shapes = shapes and cuts.dtype == torch.int32 and gloss.which.dtype == torch.int64
-        shapes = shapes and cuts.device.type == gloss.which.device.type == "cpu"
-    return (
-        shapes
-        and sent.shape[2] > outgoing.shape[1]
-        and all(t.is_contiguous() for t in large)
-        and all(t.dtype == torch.float32 and t.device.type == "cpu" for t in (*large, *small))
-        and not any(_differentiated(t) for t in (*large, *small))
+        shapes = shapes and _side(cuts.shape[1]) % TILE == 0
+        shapes = shapes and _ready(cuts, types=(torch.int32,)) and _ready(gloss.which, types=INDEX)
+    contiguous = all(t.is_contiguous() for t in (*large, values, points.place))
+    indices = _ready(points.place, types=INDEX)
+    return shapes and contiguous and indices and _ready(*large, *small) and _ready(values, types=(torch.float16,))
+
+
+def _ready(*tensors: Tensor, types: Sequence[torch.dtype] = STORED[:1]) -> bool:
+    """Whether a kernel can read tensors: of one of these types, on the CPU, without derivatives."""
+    return not torch.compiler.is_compiling() and all(
+        t.dtype in types
+        and t.device.type == "cpu"
+        and not (torch.is_grad_enabled() and t.requires_grad)
+        and unpack_dual(t).tangent is None
+        for t in tensors
     )
 
 
-def _differentiated(t: Tensor) -> bool:
-    return (torch.is_grad_enabled() and t.requires_grad) or unpack_dual(t).tangent is not None
+def _at(t: Tensor | None) -> c_void_p:
+    return c_void_p(None if t is None else t.data_ptr())
 
 
 def _side(cells: int) -> int:
-    return round(math.sqrt(cells))
+    return math.isqrt(cells)
 
 
 def _square(cells: int) -> bool:
     return _side(cells) ** 2 == cells > 0
-
-
-@cache
-def _kernel() -> ctypes.CDLL | None:
-    """The library, or None, with a warning, where it cannot be built."""
-    try:
-        return ctypes.CDLL(str(_build(_folder())))
-    except subprocess.CalledProcessError as error:
-        reason = error.stderr.strip() or str(error)
-    except Exception as error:  # torch has a class of its own for a missing compiler, in a private place
-        reason = str(error)
-    warnings.warn(f"no C++ compiler, relighting stays eager: {reason}", UserWarning, stacklevel=3)
-    return None
-
-
-def _folder() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ptt"
-
-
-def _build(folder: Path) -> Path:
-    """The library in a folder, compiled if it is not there; safe with others that do the same at the same time."""
-    from torch._inductor.cpp_builder import get_cpp_compiler
-
-    compiler = get_cpp_compiler()
-    flags = FLAGS.split()
-    # what the compiler defines tells its version and the processor
-    defined = _run(compiler, *flags, "-dM", "-E", "-x", "c++", os.devnull)
-    key = hashlib.sha256("\0".join((compiler, *flags, defined, SOURCE.read_text())).encode()).hexdigest()[:16]
-    library = folder / f"view-{key}.so"
-    if not library.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder) as own:
-            built = Path(own) / library.name
-            _run(compiler, *flags, "-shared", "-o", str(built), str(SOURCE))
-            built.replace(library)
-    return library
-
-
-def _run(*command: str) -> str:
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout

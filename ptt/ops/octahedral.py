@@ -28,6 +28,8 @@ from torch import Tensor
 
 from ptt.ops.sphere import Grid, at_least_one, centres, checked_directions, crossed, step_index, unit
 
+TILE = 4  # cells along the edge of a tile
+
 
 def octahedral(d: Tensor) -> Tensor:
     """Coordinates (a, b) (..., 2) on the map of the sphere of directions d (..., 3), non-zero, not always unit."""
@@ -159,3 +161,20 @@ def _triangle(p: Tensor, q: Tensor, r: Tensor, volume: Tensor) -> Tensor:
     lp, lq, lr = p.norm(dim=-1), q.norm(dim=-1), r.norm(dim=-1)
     pq, qr, rp = (p * q).sum(-1), (q * r).sum(-1), (r * p).sum(-1)
     return 2 * torch.atan2(volume, lp * lq * lr + pq * lr + qr * lp + rp * lq)
+
+
+def mix(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:
+    """Weighted sums (n, x) of rows of a table (cells, x), by index and weights (n, j)."""
+    return torch.nn.functional.embedding_bag(index, table, per_sample_weights=weights, mode="sum")
+
+
+def tiles(n: int) -> Tensor:
+    """Where the cells (n * n,) of a grid lie in tiles of TILE x TILE: the corners of a lookup then share a tile often.
+
+    Raises:
+        ValueError: n is no multiple of TILE.
+    """
+    if n % TILE:
+        raise ValueError(f"n must be a multiple of {TILE}, got {n}")
+    order = torch.arange(n * n).reshape(n // TILE, n // TILE, TILE, TILE).transpose(1, 2)
+    return order.flatten()

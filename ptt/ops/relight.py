@@ -2,8 +2,9 @@
 
     light   U0[c, e, i]    = sum over l of  L[c, l] T0[l, e, i]
             U1[c, q, e, s] = sum over l of  L[c, l] T1[l, q, e, s]           U2[c, qq', e] alike
-    BRDF    I[c, e, s]     = sum over q of  H[c, q] U1[c, q, e, s]  +  [s = 0] sum of  H[c, q] H[c, q'] U2[c, qq', e]
-            Q[c, e, o]     = sum over i of  M[c, o, i] (U0[c, e, i] + sum over s of  C[s, i] I[c, e, s])
+    BRDF    A[c, e, s]     = sum over q of  H[c, q] U1[c, q, e, s]  +  [s = 0] sum of  H[c, q] H[c, q'] U2[c, qq', e]
+            Q[c, e, o]     = sum over i of  M[c, o, i] (U0[c, e, i] + sum over s of  C[s, i] A[c, e, s])
+            I[c, e, s]     = A in orthonormal harmonics, which lobes reflect
     view    B[v, c]        = sum over o of  V[o, v] Q[c, o, v]               and the lobes (`ops.view`)
 
 of every eigen-point e of every cluster k; points v are combinations of them. M is the BRDF tensor's core contracted
@@ -14,15 +15,26 @@ Points are innermost everywhere and the small axes stay outside.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
+from ptt.ops import haar
+from ptt.ops.octahedral import corners, mix, octahedral
+
 T = TypeVar("T")
 TINY = 1e-30
+
+
+class Sent(NamedTuple):
+    """What points in blocks send out: values (b, c, x, w), maybe in 16 bits, times the unit (b,) of each block."""
+
+    values: Tensor
+    unit: Tensor
 
 
 def light_step(transfer: Tensor, lighting: Tensor, factors: int) -> Tensor:
@@ -37,38 +49,71 @@ def brdf_step(matrices: Tensor, incident: Tensor, spans: Sequence[tuple[int, int
     return torch.cat(parts, dim=2)
 
 
-def light_eigen(transfer: Tensor, lighting: Tensor) -> Tensor:
+def lighting(fine: Tensor, turn: Tensor, directions: Tensor, shares: Tensor, shape: Sequence[int]) -> Tensor:
+    """L (3, *shape), Haar coefficients of a map's means over the cells of a grid of that shape (..., n, n).
+
+    fine (cells, 3 or 4): colours of an octahedral map; directions (4, 3, cells), shares (4, cells): of four samples
+    turn (3, 3): of the light, world = turn @ map. Against `Environment.project`: exact for a constant; one bright texel
+    keeps its energy to 1 or 2 %, and is blurred by about its own width.
+    """
+    index, weights = corners(
+        octahedral(directions.transpose(1, 2) @ turn), math.isqrt(len(fine)), wrap=True
+    )  # shape: (4, cells, 4)
+    weights = weights * shares[..., None]
+    texels = mix(fine, *(x.transpose(0, 1).flatten(1) for x in (index, weights)))[:, :3]
+    return haar.analyse(texels.T.reshape(3, *shape))
+
+
+def light_eigen(transfer: Tensor, lighting: Tensor, columns: Tensor | None = None) -> Tensor:
     """U (k, c, x) from T (k, l, x) of eigen-points and lighting (k, c, l) or (c, l); the product in the type of T.
 
+    columns (k, l): which of the lighting (c, ..) those l are, one choice a cluster
     In 16 bits lighting is divided by its largest value before, and U multiplied after: float16 holds no sun, and a
     light times a factor rounds as the light itself.
     """
+    if columns is not None:
+        lighting = lighting.index_select(1, columns.flatten()).unflatten(1, columns.shape).transpose(0, 1)
     if transfer.dtype.itemsize > 2 or not transfer.numel():
         return torch.matmul(lighting, transfer.to(lighting.dtype))
     scale = lighting.detach().abs().amax().clamp(min=TINY)
     return torch.matmul((lighting / scale).to(transfer.dtype), transfer).to(lighting.dtype) * scale
 
 
-def bounced(one: Tensor, two: Tensor, h: Tensor, pairs: Tensor) -> Tensor:
-    """I (k, c, e, s) from U1 (k, c, q, e, s), U2 (k, c, pairs, e), H (c, q) of their slots and (c, pairs) of pairs."""
-    arriving: Tensor = (h[:, None] @ one.flatten(3)).unflatten(3, one.shape[3:])[:, :, 0]
-    if not two.shape[2]:
-        return arriving
-    again = (pairs[:, None] @ two)[:, :, 0]
-    return torch.cat((arriving[..., :1] + again[..., None], arriving[..., 1:]), -1)
+class Arriving(NamedTuple):
+    """At the eigen-points of a region under one light: U0 (k, c, e, 1 + i), U1 (k, c, q, e, s), U2 (k, c, pairs, e)."""
+
+    direct: Tensor
+    one: Tensor
+    two: Tensor
 
 
-def exitant(matrix: Tensor, incident: Tensor) -> Tensor:
-    """Q (k, c, e, o) from M (c, o, i) and U (k, c, e, i)."""
-    sent: Tensor = incident @ matrix.transpose(1, 2)
-    return sent
+class Responses(NamedTuple):
+    """Of arriving harmonics: C (s, 1 + i) to incident factors, and (s, s) to orthonormal harmonics."""
+
+    to_factors: Tensor
+    to_harmonics: Tensor
 
 
-def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Tensor:
+def eigen(arriving: Arriving, h: Tensor, pairs: Tensor, coupling: Tensor, responses: Responses, glossy: bool) -> Tensor:
+    """Q, and then I if glossy, (k, c, e, 1 + o + s), of eigen-points; s = 0 where no light is reflected to them.
+
+    h (c, q): H of the slots that U1 is for; pairs (c, pairs): their products for U2; coupling (c, 1 + o, 1 + i): M
+    """
+    direct, one, two = arriving
+    if not one.shape[2] and not two.shape[2]:
+        return direct @ coupling.transpose(1, 2)
+    light = (h[:, None] @ one.flatten(3)).unflatten(3, one.shape[3:])[:, :, 0]
+    if two.shape[2]:
+        again = (pairs[:, None] @ two)[:, :, 0]
+        light = torch.cat((light[..., :1] + again[..., None], light[..., 1:]), -1)
+    sent = (direct + light @ responses.to_factors) @ coupling.transpose(1, 2)
+    return torch.cat((sent, light @ responses.to_harmonics), 3) if glossy else sent
+
+
+def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Sent:
     """Values (b, c, x, w) of points from those of eigen-points (k, c, e, x), weights (b, e, w) and cluster (b,)."""
     rows = eigen.transpose(2, 3).flatten(1, 2).index_select(0, cluster)  # shape: (b, c * x, e)
-    sent: Tensor = (rows @ weights).unflatten(1, (eigen.shape[1], eigen.shape[3]))
-    return sent
+    return Sent((rows @ weights).unflatten(1, (eigen.shape[1], eigen.shape[3])), eigen.new_ones(len(cluster)))
 
 
 def view_step(outgoing: Tensor, sent: Tensor) -> Tensor:

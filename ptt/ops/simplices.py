@@ -34,6 +34,8 @@ class Simplices:
                 raise ValueError("points of a plane must not lie on one line")
             self._triangles = Delaunay((self.points / self._scale).numpy())
             self._cells = torch.from_numpy(self._triangles.simplices).long()
+            a, *others = self.points[self._cells].unbind(1)
+            self._inverses = torch.linalg.inv(torch.stack([b - a for b in others], 2))
             self._hull = torch.from_numpy(self._triangles.convex_hull).long()
 
     def weights(self, point: Tensor) -> Tensor:
@@ -46,7 +48,7 @@ class Simplices:
         if self._axes is not None:
             return self._on_grid(self._axes, point)
         inside = int(self._triangles.find_simplex((point / self._scale).detach().numpy(), tol=1e-9))
-        return self._on_hull(point) if inside < 0 else self._within(self._cells[inside], point)
+        return self._on_hull(point) if inside < 0 else self._within(inside, point)
 
     def _on_grid(self, axes: list[Tensor], point: Tensor) -> Tensor:
         weights = torch.ones(len(self.points), dtype=torch.float64)
@@ -54,10 +56,10 @@ class Simplices:
             weights = weights * _along(axis, x)[torch.searchsorted(axis, column)]
         return weights
 
-    def _within(self, corners: Tensor, point: Tensor) -> Tensor:
-        a, b, c = self.points[corners]
-        u, v = torch.linalg.solve(torch.stack((b - a, c - a), 1), point - a)
-        weights = torch.stack((1 - u - v, u, v)).clamp(min=0)
+    def _within(self, cell: int, point: Tensor) -> Tensor:
+        corners = self._cells[cell]
+        others = self._inverses[cell] @ (point - self.points[corners[0]])
+        weights = torch.cat((1 - others.sum(0, keepdim=True), others)).clamp(min=0)
         return self._scatter(corners, weights / weights.sum())
 
     def _on_hull(self, point: Tensor) -> Tensor:

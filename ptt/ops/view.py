@@ -20,18 +20,26 @@ import torch
 from torch import Tensor
 
 from ptt.ops import harmonics, lobes
-from ptt.ops.octahedral import corners, hemi_octahedral, octahedral
+from ptt.ops.octahedral import corners, hemi_octahedral, mix, octahedral, tiles
+from ptt.ops.relight import Sent
 
 BYTE = 255.0
 NEAR = 1e-12  # an eye in a point looks along its normal
 
 
 class Points(NamedTuple):
-    """position (3, n), frame (3, 3, n): rows tangent, bitangent, normal; cuts (n, cells) int32: cut_k, a byte each."""
+    """Of a region, in blocks.
+
+    position (3, n); frame (3, 3, n): rows tangent, bitangent, normal; colour (3, n) of the surface, None for white
+    cuts (n, cells) int32: cut_k, a byte each, cells in `tiles`
+    place (v,) int64: where each point of the region lies among the n
+    """
 
     position: Tensor
     frame: Tensor
+    colour: Tensor | None
     cuts: Tensor
+    place: Tensor
 
 
 class Gloss(NamedTuple):
@@ -51,29 +59,32 @@ class Gloss(NamedTuple):
     blurs: Tensor
 
 
-def view(points: Points, eye: Tensor, outgoing: Tensor, sent: Tensor, gloss: Gloss | None) -> Tensor:
-    """B (n, c).
+def view(points: Points, eye: Tensor, outgoing: Tensor, sent: Sent, gloss: Gloss | None) -> Tensor:
+    """B (v, c).
 
     eye (3,), or unit directions (3, n) to it
     outgoing (cells, o): V without the diffuse factor, on the disk grid
-    sent (b, c, 1 + o + s, w): Q, then I; s = 0 where no lobe is lit by it
+    sent: values (b, c, 1 + o + s, w), Q, then I; s = 0 where no lobe is lit by it
     """
     wo, axis = directions(points, eye)
-    o = 1 + outgoing.shape[1]
+    values, o = sent.values.to(outgoing.dtype), 1 + outgoing.shape[1]
     factors = mix(outgoing, *corners(wo.T[:, :2], _side(outgoing), wrap=False))
-    q = sent[:, :, :o]
-    out = q[:, :, 0] + (_blocks(factors.T, sent)[:, None] * q[:, :, 1:]).sum(2)
+    diffuse = values[:, :, 0]
+    if points.colour is not None:
+        diffuse = diffuse * _blocks(points.colour, values)
+    unit = sent.unit[:, None, None]
+    out = unit * (diffuse + (_blocks(factors.T, values)[:, None] * values[:, :, 1:o]).sum(2))
     if gloss is not None:
         mirror = torch.stack((-wo[0], -wo[1], wo[2].abs()), 1)
         rho = mix(gloss.rho, *lobes.corners(wo.T, len(gloss.rho) // gloss.tilts, gloss.tilts))  # shape: (n, k)
         light = mix(gloss.maps, *corners(octahedral(axis.T @ gloss.turn), _side(gloss.maps), wrap=True))
         seen = rho * _through(points.cuts, mirror, gloss.which)
-        lit = _blocks((seen[..., None] * light.unflatten(1, (-1, 3))).sum(1).T, sent)
-        if sent.shape[2] > o:
+        lit = _blocks((seen[..., None] * light.unflatten(1, (-1, 3))).sum(1).T, values)
+        if values.shape[2] > o:
             response = (rho @ gloss.blurs) * harmonics.evaluate(mirror, round(gloss.blurs.shape[1] ** 0.5))
-            lit = lit + (_blocks(response.T, sent)[:, None] * sent[:, :, o:]).sum(2)
+            lit = lit + unit * (_blocks(response.T, values)[:, None] * values[:, :, o:]).sum(2)
         out = out + lit * gloss.specular[:, None]
-    return out.transpose(1, 2).flatten(0, 1)
+    return out.transpose(1, 2).flatten(0, 1).index_select(0, points.place)
 
 
 def directions(points: Points, eye: Tensor) -> tuple[Tensor, Tensor]:
@@ -86,15 +97,10 @@ def directions(points: Points, eye: Tensor) -> tuple[Tensor, Tensor]:
     return wo, 2 * wo[2] * points.frame[2] - toward
 
 
-def mix(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:
-    """Weighted sums (n, x) of rows of a table (cells, x), by index and weights (n, j)."""
-    return torch.nn.functional.embedding_bag(index, table, per_sample_weights=weights, mode="sum")
-
-
 def _through(cuts: Tensor, mirror: Tensor, which: Tensor) -> Tensor:
     """Fractional visibility (n, k) about mirror directions (n, 3)."""
     index, weights = corners(hemi_octahedral(mirror), _side(cuts.T), wrap=False)
-    words = cuts.gather(1, index)  # shape: (n, 4)
+    words = cuts.gather(1, tiles(_side(cuts.T)).to(index.device)[index])  # shape: (n, 4)
     parts = [((words >> (8 * k)) & 255).to(weights) * weights for k in range(4)]
     through: Tensor = torch.stack([part.sum(1) for part in parts], 1).index_select(1, which).div(BYTE)
     return through

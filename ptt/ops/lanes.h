@@ -1,0 +1,203 @@
+// Vectors of floats as wide as the processor has them, for the kernels of ptt/ops/native.py.
+
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+
+#include <omp.h>
+
+#if defined(__AVX512F__)
+#include <immintrin.h>
+constexpr int LANES = 16;
+#elif defined(__AVX__)
+#include <immintrin.h>
+constexpr int LANES = 8;
+#else
+constexpr int LANES = 4;
+#endif
+
+constexpr float TINY = 1e-30f;
+
+typedef float Lanes __attribute__((vector_size(4 * LANES)));
+typedef int32_t Ints __attribute__((vector_size(4 * LANES)));
+typedef uint16_t Shorts __attribute__((vector_size(2 * LANES)));
+
+// The types of torch, by the numbers that ptt/ops/native.py gives them.
+struct Half {
+    uint16_t bits;
+};
+struct BFloat {
+    uint16_t bits;
+};
+
+static inline Lanes all(float x) { return x - Lanes{}; }
+static inline Lanes size(Lanes x) { return (Lanes)((Ints)x & 0x7fffffff); }
+
+static inline Lanes load(const float *p) {
+    Lanes x;
+    std::memcpy(&x, p, sizeof x);
+    return x;
+}
+
+static inline Lanes load(const BFloat *p) {
+    Shorts bits;
+    std::memcpy(&bits, p, sizeof bits);
+    return (Lanes)(__builtin_convertvector(bits, Ints) << 16);
+}
+
+static inline Lanes load(const Half *p) {
+#if defined(__AVX512F__)
+    return (Lanes)_mm512_cvtph_ps(_mm256_loadu_si256((const __m256i *)p));
+#elif defined(__F16C__) && defined(__AVX__)
+    return (Lanes)_mm256_cvtph_ps(_mm_loadu_si128((const __m128i *)p));
+#else
+    Lanes x;
+    _Float16 h[LANES];
+    std::memcpy(h, p, sizeof h);
+    for (int l = 0; l < LANES; ++l) x[l] = h[l];
+    return x;
+#endif
+}
+
+static inline void store(float *p, Lanes x) { std::memcpy(p, &x, sizeof x); }
+
+static inline void store(Half *p, Lanes x) {
+#if defined(__AVX512F__)
+    _mm256_storeu_si256((__m256i *)p, _mm512_cvtps_ph((__m512)x, _MM_FROUND_TO_NEAREST_INT));
+#elif defined(__F16C__) && defined(__AVX__)
+    _mm_storeu_si128((__m128i *)p, _mm256_cvtps_ph((__m256)x, _MM_FROUND_TO_NEAREST_INT));
+#else
+    _Float16 h[LANES];
+    for (int l = 0; l < LANES; ++l) h[l] = x[l];
+    std::memcpy(p, h, sizeof h);
+#endif
+}
+
+static inline Lanes gather(const float *p, Ints index) {
+#if defined(__AVX512F__)
+    return _mm512_i32gather_ps((__m512i)index, p, 4);
+#endif
+    int32_t i[LANES];
+    float x[LANES];
+    std::memcpy(i, &index, sizeof i);
+    for (int l = 0; l < LANES; ++l) x[l] = p[i[l]];
+    return load(x);
+}
+
+// x[i] = p[index + i], i < 4
+static inline void gather_four(const float *p, Ints index, Lanes *x) {
+#if defined(__AVX512F__)
+    int32_t i[LANES];
+    std::memcpy(i, &index, sizeof i);
+    __m512 r[4];
+    for (int l = 0; l < 4; ++l) {
+        r[l] = _mm512_castps128_ps512(_mm_loadu_ps(p + i[l]));
+        r[l] = _mm512_insertf32x4(r[l], _mm_loadu_ps(p + i[4 + l]), 1);
+        r[l] = _mm512_insertf32x4(r[l], _mm_loadu_ps(p + i[8 + l]), 2);
+        r[l] = _mm512_insertf32x4(r[l], _mm_loadu_ps(p + i[12 + l]), 3);
+    }
+    const __m512d a = (__m512d)_mm512_unpacklo_ps(r[0], r[1]), b = (__m512d)_mm512_unpackhi_ps(r[0], r[1]);
+    const __m512d c = (__m512d)_mm512_unpacklo_ps(r[2], r[3]), d = (__m512d)_mm512_unpackhi_ps(r[2], r[3]);
+    x[0] = (Lanes)_mm512_unpacklo_pd(a, c), x[1] = (Lanes)_mm512_unpackhi_pd(a, c);
+    x[2] = (Lanes)_mm512_unpacklo_pd(b, d), x[3] = (Lanes)_mm512_unpackhi_pd(b, d);
+#else
+    for (int i = 0; i < 4; ++i) x[i] = gather(p + i, index);
+#endif
+}
+
+#if defined(__AVX512F__)
+static inline void transpose(__m512 (&r)[16]) {
+    __m512 t[16];
+    for (int i = 0; i < 16; i += 2) t[i] = _mm512_unpacklo_ps(r[i], r[i + 1]), t[i + 1] = _mm512_unpackhi_ps(r[i], r[i + 1]);
+    for (int i = 0; i < 16; i += 4)
+        for (int j = 0; j < 2; ++j) {
+            const __m512d a = (__m512d)t[i + j], b = (__m512d)t[i + 2 + j];
+            r[i + 2 * j] = (__m512)_mm512_unpacklo_pd(a, b), r[i + 2 * j + 1] = (__m512)_mm512_unpackhi_pd(a, b);
+        }
+    for (int i = 0; i < 16; i += 8)
+        for (int j = 0; j < 4; ++j) {
+            t[i + j] = _mm512_shuffle_f32x4(r[i + j], r[i + 4 + j], 0x88);
+            t[i + 4 + j] = _mm512_shuffle_f32x4(r[i + j], r[i + 4 + j], 0xdd);
+        }
+    for (int j = 0; j < 8; ++j) {
+        r[j] = _mm512_shuffle_f32x4(t[j], t[8 + j], 0x88);
+        r[8 + j] = _mm512_shuffle_f32x4(t[j], t[8 + j], 0xdd);
+    }
+}
+#endif
+
+static inline Lanes root(Lanes v) {
+    float x[LANES];
+    std::memcpy(x, &v, sizeof x);
+    for (int l = 0; l < LANES; ++l) x[l] = std::sqrt(x[l]);
+    return load(x);
+}
+
+static inline Ints lane() {
+    Ints i;
+    for (int l = 0; l < LANES; ++l) i[l] = l;
+    return i;
+}
+static inline Lanes most(Lanes x, Lanes y) { return x > y ? x : y; }
+static inline Lanes least(Lanes x, Lanes y) { return x < y ? x : y; }
+static inline Ints clamp(Ints i, int last) {
+    i = i < 0 ? Ints{} : i;
+    return i > last ? last - Ints{} : i;
+}
+static inline Lanes signed_as(Lanes x, Lanes sign) { return (Lanes)((Ints)size(x) | ((Ints)sign & INT32_MIN)); }
+static inline Ints whole(Lanes x) { return __builtin_convertvector(x, Ints); }
+static inline Lanes real(Ints i) { return __builtin_convertvector(i, Lanes); }
+
+struct Corners {  // of a bilinear lookup
+    Ints cell[4];
+    Lanes weight[4];
+};
+
+// ptt.ops.octahedral.corners, of cells in `tiles` where these are larger than one
+template <int TILE = 1>
+static inline Corners corners(Lanes a, Lanes b, int n, bool wrap) {
+    const float half = 0.5f * n;
+    Lanes x = least(most((a + 1.0f) * half - 0.5f, all(-1)), all(n));
+    Lanes y = least(most((b + 1.0f) * half - 0.5f, all(-1)), all(n));
+    Ints column = whole(x + 1.0f) - 1, row = whole(y + 1.0f) - 1;  // floor
+    x -= real(column), y -= real(row);
+    Corners at;
+    for (int j = 0; j < 4; ++j) {
+        Ints r = row + (j >> 1), c = column + (j & 1);
+        Ints i = r, k = c;
+        if (wrap) {
+            k = (r < 0) | (r >= n) ? n - 1 - c : c;
+            i = (c < 0) | (c >= n) ? n - 1 - r : r;
+        }
+        i = clamp(i, n - 1), k = clamp(k, n - 1);
+        at.cell[j] = (i / TILE * (n / TILE) + k / TILE) * (TILE * TILE) + i % TILE * TILE + k % TILE;
+        at.weight[j] = (j & 1 ? x : 1.0f - x) * (j >> 1 ? y : 1.0f - y);
+    }
+    return at;
+}
+
+// x @ turn
+static inline void turned(const Lanes *x, const float *turn, Lanes *out) {
+    for (int c = 0; c < 3; ++c) out[c] = x[0] * turn[c] + x[1] * turn[3 + c] + x[2] * turn[6 + c];
+}
+
+// Corners of directions of any length on an octahedral map of n cells along an edge (ptt.ops.octahedral.octahedral).
+static inline Corners on_sphere(const Lanes *direction, int n) {
+    Lanes d[3], scale = 1.0f / most(size(direction[0]) + size(direction[1]) + size(direction[2]), all(TINY));
+    for (int c = 0; c < 3; ++c) d[c] = direction[c] * scale;
+    Lanes a = d[2] < 0 ? signed_as(1.0f - size(d[1]), d[0]) : d[0];
+    Lanes b = d[2] < 0 ? signed_as(1.0f - size(d[0]), d[1]) : d[1];
+    return corners(a, b, n, true);
+}
+
+// run(i) for i in 0..count-1, each thread an even share in order
+template <class Run>
+static inline void in_parallel(int64_t count, int threads, Run run) {
+#pragma omp parallel num_threads(threads)
+    {
+        const int64_t t = omp_get_thread_num(), of = omp_get_num_threads();
+        for (int64_t i = count * t / of; i < count * (t + 1) / of; ++i) run(i);
+    }
+}
