@@ -1,7 +1,7 @@
 """Indirect light that follows every edit: every figure of it, as rows of bench/results/transfer.csv.
 
     PTT_DATA=... python bench/transfer.py                   # about 45 minutes on two cores
-    PTT_DATA=... python bench/transfer.py --only engine     # one scene's rows anew: suzanne, dragon, engine, caustic
+    PTT_DATA=... python bench/transfer.py --only engine     # or suzanne, dragon, caustic, growth
     python bench/transfer.py --quick                        # under a minute: a ball over a floor alone
 
 Needs the extra `bench` (Mitsuba), and PTT_DATA with meshes and maps. Pictures go to docs/images. Every scene has a
@@ -13,17 +13,14 @@ from __future__ import annotations
 import argparse
 import copy
 import csv
-import math
 import os
 import resource
-import statistics
 import sys
 import time
 import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import count
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -34,7 +31,8 @@ from torch import Tensor
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import ptt
-from bench.table import ROOT, Table, median_seconds, read_bandwidth, setting
+from bench.frames import against_mitsuba, dressed, exponents, growth, naive, speed, step_times
+from bench.table import ROOT, Table, setting
 from bench.uncompressed import Uncompressed
 from ptt.meshes import Part
 from ptt.models.clustered_transfer import WIDTH
@@ -44,7 +42,7 @@ IMAGES = ROOT / "docs" / "images"
 CONFIGS = ROOT / "scripts" / "configs"
 LIGHTS = {"uffizi": "uffizi.hdr", "grace": "grace_cross.hdr", "courtyard": "courtyard.exr"}
 PAPER = ptt.Clusters(points=1000, eigenvectors=32, lighting=64)
-OWN = ptt.Clusters(points=250, eigenvectors=32, lighting=64)
+OWN = ptt.Clusters(points=250, eigenvectors=32, lighting=32)
 # relative RMSE in total and of the indirect part; paper-16 has the eigenvectors of the paper's Watch scene
 GOALS = {"uncompressed": ("<= 0.03", "<= 0.1"), "paper": ("<= 0.06", ""), "own": ("<= 0.04", ""), "paper-16": ("", "")}
 SAMPLES = 4096
@@ -91,7 +89,7 @@ def fitted_materials() -> dict[str, ptt.Material]:
 
 CASES = {
     "suzanne": Case(
-        ptt.BRDFSpace.blinn_phong, (4, 16, 16), 3, 4, blinn_phong_materials,
+        ptt.BRDFSpace.blinn_phong, (4, 24, 24), 3, 4, blinn_phong_materials,
         ("Airplane", 13100, 144, (2.5, 6.4), (139.5, 30.79, 5.91)), 300.0,
     ),
     "dragon": Case(
@@ -108,7 +106,7 @@ CASES = {
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="under a minute: a ball over a floor alone")
-    parser.add_argument("--only", nargs="+", choices=[*CASES, "caustic"], help="scenes whose rows are made anew")
+    parser.add_argument("--only", nargs="+", choices=[*CASES, *OTHERS], help="scenes whose rows are made anew")
     arguments = parser.parse_args()
     IMAGES.mkdir(parents=True, exist_ok=True)
     if arguments.quick:
@@ -119,10 +117,10 @@ def main() -> None:
         parser.error("set PTT_DATA to the folder with meshes and hdri")
     table = Table("transfer")
     old = list(csv.DictReader(table.path.open())) if table.path.exists() else []
-    rows = {name: [row for row in old if row["what"].startswith(name)] for name in (*CASES, "caustic")}
+    rows = {name: [row for row in old if row["what"].startswith(name)] for name in (*CASES, *OTHERS)}
     for name in arguments.only or rows:
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            rows[name] = pool.submit(caustic if name == "caustic" else scene_rows, name).result()
+            rows[name] = pool.submit(OTHERS.get(name, scene_rows), name).result()
         table.rows = [row for scene in rows.values() for row in scene]
         table.write()
 
@@ -137,7 +135,8 @@ def scene_rows(name: str) -> list[dict[str, str]]:
     raw, transfer, models = built(table, name, scene, case)
     right(table, name, scene, case, lights, raw, transfer, models, case.vertices)
     pictures(name, scene, case, lights, models["own"])
-    speed(table, name, scene, case, lights["uffizi"], models)
+    material = case.materials()["moderate"]
+    speed(table, name, scene, material, (case.table[0], case.table[4]), lights["uffizi"], models)
     stability(table, name, scene, case, lights["uffizi"], models["own"], transfer)
     if name == "suzanne":
         figure_9(table, name, scene, case, lights["uffizi"], transfer)
@@ -161,7 +160,7 @@ def quick() -> list[dict[str, str]]:
     lights = {"sky": ptt.Environment.sun_sky(radius=10.0)}
     raw, transfer, models = built(table, "quick", scene, case)
     right(table, "quick", scene, case, lights, raw, transfer, models, vertices=100, samples=256)
-    speed(table, "quick", scene, case, lights["sky"], models)
+    speed(table, "quick", scene, case.materials()["moderate"], ("none", (1, 1, 1)), lights["sky"], models)
     stability(table, "quick", scene, case, lights["sky"], models["own"], transfer)
     return table.rows
 
@@ -203,7 +202,7 @@ def built(
     for key, model in models.items():
         clusters = sum(len(region.columns) for region in model.clustered)
         eigenvectors = model.clustered[0].eigenvectors
-        how = f"{clusters} clusters, {eigenvectors} eigenvectors, {OWN.lighting} lighting dimensions, bfloat16"
+        how = f"{clusters} clusters, {eigenvectors} eigenvectors, {model.clustered[0].lighting.shape[2]} lighting dimensions, bfloat16"
         goal, said = f"<= {megabytes:g}", f"{megabytes:g} MB ({paper})"
         table.row(f"{name}, storage, {key}", model.bytes / 1e6, "MB", how, goal, paper=said)
         table.row(f"{name}, storage of lobes' visibility, {key}", _cuts(model) / 1e6, "MB", how)
@@ -214,16 +213,18 @@ def _cuts(model: ptt.TransferModel) -> int:
     return sum(region.cuts.numel() * 4 for region in model.clustered)
 
 
+def grown(name: str) -> list[dict[str, str]]:
+    """Cost as vertices and regions grow."""
+    table = Table("transfer")
+    growth(table)
+    return table.rows
+
+
 def facing(scene: ptt.Scene, most: int) -> Tensor:
     """Some vertices that face the camera."""
     seen = torch.nonzero((scene.camera.toward(scene.vertices) * scene.normals).sum(1) > 0)[:, 0]
     order = torch.randperm(len(seen), generator=torch.Generator().manual_seed(0))
     return seen[order[:most]].sort().values
-
-
-def dressed(scene: ptt.Scene, material: ptt.Material) -> dict[str, ptt.Material]:
-    """The scene's materials, those of editable regions replaced."""
-    return {r.name: material if r.editable else scene.materials[r.name] for r in scene.regions}
 
 
 def right(
@@ -313,10 +314,10 @@ def caustic(name: str) -> list[dict[str, str]]:
     ]
     camera = ptt.Camera((0.3, 3.2, 2.6), (0.0, 0.0, 0.0), fov=36, width=320, height=240)
     scene = ptt.Scene.from_parts(parts, camera=camera)
-    light = ptt.Environment.area_light((-0.8, 0.75, -0.2), 6.0, 60.0)
+    light = ptt.Environment.area_light((-0.8, 0.75, -0.2), 12.0, 30.0)
     raw = ptt.precompute(scene, 2, progress=True)
     space = ptt.BRDFSpace.blinn_phong()
-    brdf, basis = ptt.TensorBRDF.fit(space, ranks=(4, 16, 16), separated=3), ptt.BRDFBasis.fit(space)
+    brdf, basis = ptt.TensorBRDF.fit(space, ranks=(4, 24, 24), separated=3), ptt.BRDFBasis.fit(space)
     transfer = ptt.assemble(raw, brdf, basis, 96, progress=True)
     model = ptt.cluster(transfer, OWN, progress=True)
     seams(table, scene, light, model, ptt.cluster(transfer, replace(OWN, points=100, eigenvectors=96, columns=4096)))
@@ -333,7 +334,7 @@ def caustic(name: str) -> list[dict[str, str]]:
         direct = ptt.reference.at_vertices(scene, light, materials, camera, samples=2048)
         own = scene.vertex_region == 1
         truly, ours = (points.mean - direct.mean)[own], (radiance[1] - radiance[0])[own]
-        how = "first bounce on the table, all its vertices; light of 6 degrees, lighting of the bounce 6 x 8 x 8"
+        how = "first bounce on the table, all its vertices; light of 12 degrees, lighting of the bounce 6 x 8 x 8"
         table.row(f"caustic, {kind} ring, error", ptt.relative_rmse(ours, truly), "relative RMSE", how)
         peak = float(ours.max()) / float(truly.quantile(0.999))
         table.row(f"caustic, {kind} ring, brightest over the reference's", peak, "", f"{how}; its 99.9 % quantile")
@@ -359,78 +360,6 @@ def seams(
     how = "root mean square of the difference of errors along an edge over that of the radiance; ring, exponent 12"
     table.row("caustic, seams, edges between clusters", float(step[crossing].mean().sqrt() / size), "", how)
     table.row("caustic, seams, edges within clusters", float(step[~crossing].mean().sqrt() / size), "", how)
-
-
-STEPS = count(1)  # no two frames are alike
-
-
-def steps(
-    relighter: ptt.TransferRelighter, scene: ptt.Scene, light: ptt.Environment, material: ptt.Material
-) -> dict[str, Callable[[], Tensor]]:
-    """A frame after a change of the view; of that and of a material; of those and of the light."""
-    camera, materials = scene.camera, dressed(scene, material)
-    edited = next(r.name for r in scene.regions if r.editable)
-
-    def edit() -> dict[str, ptt.Material]:
-        diffuse = material.diffuse * (1 - 1e-4 * (next(STEPS) % 1000))
-        return materials | {edited: ptt.Material(diffuse, material.specular, material.shape)}
-
-    def orbit() -> ptt.Camera:
-        return camera.orbited(next(STEPS) * 0.37)
-
-    return {
-        "view": lambda: relighter(light, materials, orbit()),
-        "view and BRDF": lambda: relighter(light, edit(), orbit()),
-        "view, BRDF and light": lambda: relighter(light.rotated(y=next(STEPS) * 0.7), edit(), orbit()),
-    }
-
-
-def speed(
-    table: Table,
-    name: str,
-    scene: ptt.Scene,
-    case: Case,
-    light: ptt.Environment,
-    models: Mapping[str, ptt.TransferModel],
-) -> None:
-    """Table 1's three columns, beside the bytes that must be read at the measured bandwidth."""
-    bandwidth, how = read_bandwidth(), setting()
-    table.row(f"{name}, read bandwidth", bandwidth / 1e9, "GB/s", f"sum of 400 MB; {how}")
-    paper, _, _, _, frames = case.table
-    goals = dict(zip(("view", "view and BRDF", "view, BRDF and light"), (500, 200, 80), strict=True))
-    material = case.materials()["moderate"]
-    for key, model in models.items():
-        for compiled in (False, True):
-            relighter = ptt.TransferRelighter(model, compiled=compiled)
-            form = "compiled" if compiled else "eager"
-            read = bytes_read(model, relighter, light, dressed(scene, material), scene.camera)
-            for (step, frame), said in zip(steps(relighter, scene, light, material).items(), frames, strict=True):
-                frame()
-                seconds = median_seconds(frame, 25)
-                goal = f">= {goals[step]}" if name == "engine" and key != "own" and compiled else ""
-                limit = f"{bandwidth / read[step]:.0f} frames/s to read {read[step] / 1e6:.3g} MB"
-                note = f"{len(scene.vertices)} vertices, {key} settings, lobes included, {material.shape}; {how}"
-                table.row(
-                    f"{name}, {key}, {form}, {step}", 1 / seconds, "frames/s", note, goal,
-                    paper=f"{said} ({paper})", limit=limit,
-                )  # fmt: skip
-
-
-def bytes_read(
-    model: ptt.TransferModel,
-    relighter: ptt.TransferRelighter,
-    light: ptt.Environment,
-    materials: Mapping[str, ptt.Material],
-    camera: ptt.Camera,
-) -> dict[str, float]:
-    """What a frame must read at least, step by step: tensors once each, and of the cuts a cache line a point."""
-    exitant = relighter.exitant(light, materials)
-    v = sum(region.points for region in model.clustered)
-    view = sum(sent.numel() * 4 for sent in exitant.sent) + v * (12 * 4 + 64)
-    brdf = sum(region.weights.numel() * 4 for region in model.clustered)
-    parts = [(r.direct, r.one, r.two, r.lighting) for r in model.clustered]
-    lighting = sum(t.numel() * t.element_size() for part in parts for t in part)
-    return {"view": view, "view and BRDF": view + brdf, "view, BRDF and light": view + brdf + lighting}
 
 
 def stability(
@@ -489,88 +418,13 @@ def figure_9(table: Table, name: str, scene: ptt.Scene, case: Case, light: ptt.E
             table.row(f"{name}, figure 9, {label}, error", error, "relative RMSE", how)
             table.row(f"{name}, figure 9, {label}, storage", model.bytes / 1e6, "MB", how)
             size = float(clusters if axis == "points" else value)
-            times[axis].append((size, step_times(relighter, light, materials, scene.camera)))
+            compiled = ptt.TransferRelighter(model, compiled=True)
+            times[axis].append((size, step_times(compiled, light, list(materials.values()), scene.camera)))
     for axis, found in times.items():
-        for step in ("light", "BRDF", "view"):
-            exponent = slope([(size, spent[step]) for size, spent in found])
-            many = "clusters" if axis == "points" else axis
-            how = f"time of the step as a power of the number of {many}, {len(found)} sizes, eager; {setting()}"
-            table.row(f"{name}, exponent, {step} step, {many}", exponent, "", how)
+        exponents(table, name, "clusters" if axis == "points" else axis, found)
 
 
-def step_times(
-    relighter: ptt.TransferRelighter,
-    light: ptt.Environment,
-    materials: Mapping[str, ptt.Material],
-    camera: ptt.Camera,
-) -> dict[str, float]:
-    """Seconds of each step alone."""
-    steps, chosen = relighter.steps, list(materials.values())
-    lit = steps.incident(light)
-    sent = steps.exitant(lit, chosen)
-    eye = torch.tensor(camera.eye)
-    return {
-        "light": median_seconds(lambda: steps.incident(light)),
-        "BRDF": median_seconds(lambda: steps.exitant(lit, chosen)),
-        "view": median_seconds(lambda: steps.radiance(sent, eye)),
-    }
-
-
-def slope(points: list[tuple[float, float]]) -> float:
-    """Of log y over log x, by least squares."""
-    x, y = ([math.log(p[k]) for p in points] for k in (0, 1))
-    return statistics.linear_regression(x, y).slope
-
-
-def naive(table: Table, name: str, transfer: Any, points: int = 500) -> None:
-    """The same frame as dense einsums, point by point, without clusters: a sample of points, scaled up."""
-    one, two = transfer.indirect.one, transfer.indirect.two
-    t1, t2, t0 = one[:points].float(), two[:points].float(), transfer.direct.coarse[:points]
-    light, coarsest, fine = (torch.rand(n, 3) for n in (t1.shape[3], t2.shape[3], t0.shape[2]))
-    h, m = torch.rand(t1.shape[1], 3), torch.rand(3, t0.shape[1], t0.shape[1])
-    c, outgoing = torch.rand(t1.shape[2], t0.shape[1]), torch.rand(points, t0.shape[1])
-
-    def frame() -> Tensor:
-        arriving = torch.einsum("vqsl,lc,qc->vsc", t1, light, h)
-        arriving[:, 0] += torch.einsum("vpql,lc,pc,qc->vc", t2, coarsest, h, h)
-        incident = torch.einsum("vil,lc->vic", t0, fine) + torch.einsum("vsc,si->vic", arriving, c)
-        return torch.einsum("vo,coi,vic->vc", outgoing, m, incident)
-
-    seconds = median_seconds(frame) * len(one) / points
-    how = f"{points} points, times {len(one) / points:.0f}; T0 of 6 x 8 x 8 light alone; {setting()}"
-    table.row(f"{name}, naive dense einsum, view, BRDF and light", 1 / seconds, "frames/s", how)
-
-
-def against_mitsuba(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment) -> None:
-    """Mitsuba on the same scene, matt, as many pixels as the scene has vertices: time to 4 % of noise."""
-    import mitsuba as mi
-
-    from bench.mitsuba_check import matt, mitsuba_scene
-
-    width = round(math.sqrt(len(scene.vertices) * 4 / 3))
-    camera = replace(scene.camera, width=width, height=round(width * 0.75))
-    dull = replace(scene, materials=matt(scene), camera=camera)
-    theirs = mitsuba_scene(dull, light)
-    to_world = mi.ScalarTransform4f().look_at(list(camera.eye), list(camera.target), list(camera.up))
-    film = {"type": "hdrfilm", "width": camera.width, "height": camera.height, "rfilter": {"type": "box"}}
-    sensor = mi.load_dict(
-        {"type": "perspective", "fov": camera.fov, "fov_axis": "y", "to_world": to_world, "film": film}
-    )
-    integrator = mi.load_dict({"type": "path", "max_depth": 4})
-
-    def image(samples: int, seed: int) -> Tensor:
-        return torch.tensor(mi.render(theirs, sensor=sensor, integrator=integrator, spp=samples, seed=seed)).clone()
-
-    samples = 16
-    start = time.perf_counter()
-    pair = [image(samples, seed) for seed in (1, 2)]
-    seconds = (time.perf_counter() - start) / 2
-    noise = float((pair[0] - pair[1]).norm() / math.sqrt(2) / pair[0].norm())
-    needed = seconds * (noise / 0.04) ** 2
-    how = f"{camera.width} x {camera.height} pixels, path of 4 vertices, matt, scalar_rgb on all threads; "
-    how += f"{samples} samples took {seconds:.2f} s and left {noise:.3f}"
-    table.row(f"{name}, Mitsuba 3 to 4 % of noise", needed, "s", how)
-
+OTHERS = {"caustic": caustic, "growth": grown}
 
 if __name__ == "__main__":
     main()

@@ -14,7 +14,7 @@ from ptt import bounces
 from ptt.models import light_maps, slots
 from ptt.models.indirect import COARSE, responses
 from ptt.ops import haar, lobes, transfer
-from ptt.ops.octahedral import HemiOctahedral
+from ptt.ops.octahedral import HemiOctahedral, corners, octahedral
 from ptt.ops.sphere import Cube
 
 
@@ -70,9 +70,7 @@ class Uncompressed:
         axis = lobes.mirror(wo)
         world = (axis[:, None] @ self.raw.receivers.frames[rows])[:, 0]
         maps = light_maps.light_maps(light, self.brdf.angles)
-        index, weights = light_maps.corners(
-            light_maps.octahedral(world @ light.rotation.float()), light_maps.SIDE, wrap=True
-        )
+        index, weights = corners(octahedral(world @ light.rotation.float()), light_maps.SIDE, wrap=True)
         seen = (maps.blurred[index] * weights[..., None, None]).sum(1)
         through = self.cuts[rows, HemiOctahedral(bounces.CUTS).cell(axis)].float() / 255
         return seen * through[..., None]

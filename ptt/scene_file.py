@@ -1,6 +1,7 @@
 """Scene files: a few lines of TOML that place meshes and simple shapes, and give them materials.
 
     environment = "hdri/uffizi.hdr"
+    hidden = false                            # drop triangles that see no way out, as those inside of a machine
     [camera]                                  # optional; as `Camera`
     eye = [0.3, 0.3, 0.9]
     target = [0, 0.1, 0]
@@ -13,6 +14,7 @@
     rotate = [0, 30, 0]                       # degrees about the world's x, then y, then z axis, then
     translate = [0, 0, 0]
     subdivide = 0                             # times: each triangle in four, without smoothing
+    edge = 0.1                                # after placing: longer edges are halved; light is kept at vertices
     editable = true
     texture = "spot_texture.png"              # sRGB image over the mesh's own uv
     material = { model = "blinn-phong", diffuse = [0.5, 0.5, 0.5], specular = 0.1, exponent = 20 }
@@ -39,6 +41,7 @@ import torch
 from torch import Tensor
 
 from ptt import materials
+from ptt.hidden import without_hidden
 from ptt.mesh_file import read_parts, read_texture
 from ptt.meshes import Part, join, transformed
 from ptt.ops import mesh
@@ -52,8 +55,9 @@ SHAPES: dict[str, Callable[..., tuple[Tensor, Tensor]]] = {
     "box": mesh.box_mesh,
     "torus": mesh.torus_mesh,
 }
+MOST = 10_000_000  # triangles
 PLACING = ("scale", "rotate", "translate")
-REGION = ("name", "mesh", *SHAPES, "parts", *PLACING, "subdivide", "editable", "texture", "material")
+REGION = ("name", "mesh", *SHAPES, "parts", *PLACING, "subdivide", "edge", "editable", "texture", "material")
 
 
 def load(path: Path) -> Scene:
@@ -72,7 +76,7 @@ def _load_toml(path: Path) -> Scene:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"path must be a TOML file: {path}: {error}") from error
-    _known(path.name, table, ("environment", "camera", "region"))
+    _known(path.name, table, ("environment", "hidden", "camera", "region"))
     if not isinstance(table.get("region"), list):
         raise ValueError(f"{path.name} must hold at least one [[region]]")
     environment, camera = None, None
@@ -82,7 +86,8 @@ def _load_toml(path: Path) -> Scene:
         environment = Environment.load(find(table["environment"], path.parent))
     if "camera" in table:
         camera = _call("camera", Camera, table["camera"])
-    return Scene.from_parts([_region(t, path.parent) for t in table["region"]], environment, camera)
+    scene = Scene.from_parts([_region(t, path.parent) for t in table["region"]], environment, camera)
+    return scene if _typed(table, "hidden", bool, True) else without_hidden(scene)
 
 
 def find(name: str, folder: Path) -> Path:
@@ -107,7 +112,8 @@ def _region(table: Mapping[str, Any], folder: Path) -> Part:
         part = replace(_geometry(table, folder), name=name, editable=_typed(table, "editable", bool, True))
         for _ in range(_typed(table, "subdivide", int, 0)):
             part = _subdivided(part)
-        return transformed(part, _matrix(**{k: table[k] for k in PLACING if k in table}))
+        part = transformed(part, _matrix(**{k: table[k] for k in PLACING if k in table}))
+        return _fine_enough(part, float(table["edge"])) if "edge" in table else part
     except (ValueError, TypeError) as error:
         raise ValueError(f"region {name!r}: {error}") from error
 
@@ -154,9 +160,23 @@ def _three(name: str, value: Iterable[float]) -> list[float]:
     return numbers
 
 
-def _subdivided(part: Part) -> Part:
+def _fine_enough(part: Part, edge: float) -> Part:
+    """No edge longer than that."""
+    if not edge > 0:
+        raise ValueError(f"edge must be > 0, got {edge}")
+    while True:
+        corners = part.vertices[part.faces]
+        long = (corners - corners.roll(-1, 1)).norm(dim=2) > edge
+        if not bool(long.any()):
+            return part
+        if len(part.faces) + int(long.sum()) > MOST:
+            raise ValueError(f"edge = {edge:g} makes more than {MOST} triangles; take a longer one")
+        part = _subdivided(part, long)
+
+
+def _subdivided(part: Part, cut: Tensor | None = None) -> Part:
     mesh.check_mesh(part.vertices, part.faces)
-    faces, edges = mesh.subdivide(part.faces, len(part.vertices))
+    faces, edges = mesh.subdivide(part.faces, len(part.vertices), cut)
 
     def finer(values: Tensor) -> Tensor:
         return torch.cat([values, values[edges].mean(1)])

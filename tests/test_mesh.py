@@ -128,6 +128,22 @@ def test_subdivision_keeps_the_surface_and_shares_middles() -> None:
     assert volume(points, finer) == pytest.approx(volume(vertices, faces), rel=1e-6)
 
 
+def test_some_edges_cut_leave_the_surface_closed() -> None:
+    """Faces with none, one, two and three cut edges meet without a gap, wound as before."""
+    vertices, faces = mesh.sphere_mesh(1)
+    vertices = vertices * torch.tensor([1.0, 2.0, 0.5])
+    corners = vertices[faces]
+    cut = (corners - corners.roll(-1, 1)).norm(dim=2) > 0.75
+    assert cut.sum(1).unique().tolist() == [0, 1, 2, 3]
+    finer, edges = mesh.subdivide(faces, len(vertices), cut)
+    points = torch.cat([vertices, vertices[edges].mean(1)])
+    directed = torch.stack([finer, finer.roll(-1, 1)], -1).reshape(-1, 2)
+    there, back = (set(map(tuple, pairs.tolist())) for pairs in (directed, directed.flip(1)))
+    assert there == back and len(there) == len(directed) == 3 * (len(finer))
+    assert len(edges) == int(cut.sum()) // 2 and len(finer) == len(faces) + int(cut.sum())
+    assert volume(points, finer) == pytest.approx(volume(vertices, faces), rel=1e-6)
+
+
 def test_weld_joins_equal_positions_only() -> None:
     vertices, faces = mesh.box_mesh((1.0, 1.0, 1.0), 2)
     joined, new, index = mesh.weld(vertices, faces)

@@ -476,6 +476,26 @@ def test_scene_file_places_shapes_and_gives_materials(tmp_path: Path) -> None:
     assert scene.materials["a"].shape == CookTorrance(0.5, 0.2)
 
 
+def test_long_edges_are_halved_after_placing(tmp_path: Path) -> None:
+    text = """
+    [[region]]
+    name = "plate"
+    box = { size = [4.0, 0.1, 1.0] }
+    scale = 2.0
+    edge = 0.6
+    """
+    scene = Scene.load(_toml(tmp_path, text))
+    sound(scene)
+    corners = scene.vertices[scene.faces]
+    assert float((corners - corners.roll(-1, 1)).norm(dim=2).max()) <= 0.6
+    area = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1).sum() / 2
+    assert float(area) == pytest.approx(2 * (8 * 2 + 8 * 0.2 + 2 * 0.2), rel=1e-5)
+    with pytest.raises(ValueError, match=r"region 'plate': edge must be > 0, got 0"):
+        Scene.load(_toml(tmp_path, text.replace("0.6", "0")))
+    with pytest.raises(ValueError, match="take a longer one"):
+        Scene.load(_toml(tmp_path, text.replace("0.6", "1e-4")))
+
+
 @pytest.mark.parametrize(
     ("rotate", "start", "end"),
     [([90, 0, 0], 1, 2), ([0, 90, 0], 2, 0), ([0, 0, 90], 0, 1), ([90, 90, 0], 1, 0)],

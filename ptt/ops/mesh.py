@@ -140,18 +140,30 @@ def weld(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return joined, index[faces], index
 
 
-def subdivide(faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Cut every triangle in four at the middles of its edges.
+def subdivide(faces: Tensor, count: int, cut: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Cut triangles at the middles of their edges: of all of them, each triangle in four, or of some.
 
-    faces (f, 3) of a mesh with `count` vertices -> faces (4 f, 3), edges (e, 2). The new vertex count + i is
+    faces (f, 3) of a mesh with `count` vertices -> faces (g, 3), edges (e, 2). The new vertex count + i is
     the middle of edges[i]; faces that share an edge share its middle. Winding is kept.
+    cut (f, 3) bool: which edges, the first from corner 0 to corner 1; faces that share one must agree
     """
+    cut = torch.ones_like(faces, dtype=torch.bool) if cut is None else cut
     pairs = torch.stack([faces, faces.roll(-1, 1)], -1).sort(-1).values  # shape: (f, 3, 2)
-    edges, index = torch.unique(pairs.reshape(-1, 2), dim=0, return_inverse=True)
-    ab, bc, ca = (index.reshape(-1, 3) + count).unbind(1)
-    a, b, c = faces.unbind(1)
-    corners = [a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca]
-    return torch.stack(corners, 1).reshape(-1, 3), edges
+    edges, index = torch.unique(pairs[cut], dim=0, return_inverse=True)
+    middles = torch.full_like(faces, -1)
+    middles[cut] = index + count
+    finer, cuts = [], cut.sum(1)
+    # of faces with so many cuts, turned so that these come first: corners a, b, c and middles ab, bc, ca as 0 to 5
+    for number, corners in enumerate(([0, 1, 2], [0, 3, 2, 3, 1, 2], [3, 1, 4, 0, 3, 4, 0, 4, 2], _IN_FOUR)):
+        own = cuts == number
+        first = cut[own].int().argmax(1) if number == 1 else (~cut[own]).int().argmax(1) + 1
+        around = (first[:, None] + torch.arange(3)) % 3
+        six = torch.cat([x[own].gather(1, around) for x in (faces, middles)], 1)
+        finer.append(six[:, corners].reshape(-1, 3))
+    return torch.cat(finer), edges
+
+
+_IN_FOUR = [0, 3, 5, 3, 1, 4, 5, 4, 2, 3, 4, 5]
 
 
 def sample_texture(texture: Tensor, uv: Tensor) -> Tensor:
