@@ -202,7 +202,8 @@ def built(
     for key, model in models.items():
         clusters = sum(len(region.columns) for region in model.clustered)
         eigenvectors = model.clustered[0].eigenvectors
-        how = f"{clusters} clusters, {eigenvectors} eigenvectors, {model.clustered[0].lighting.shape[2]} lighting dimensions, bfloat16"
+        dimensions = model.clustered[0].lighting.shape[2]
+        how = f"{clusters} clusters, {eigenvectors} eigenvectors, {dimensions} lighting dimensions, bfloat16"
         goal, said = f"<= {megabytes:g}", f"{megabytes:g} MB ({paper})"
         table.row(f"{name}, storage, {key}", model.bytes / 1e6, "MB", how, goal, paper=said)
         table.row(f"{name}, storage of lobes' visibility, {key}", _cuts(model) / 1e6, "MB", how)
