@@ -12,6 +12,7 @@ from ptt.assembly import assemble
 from ptt.clustering import Clusters, cluster
 from ptt.compress import compress
 from ptt.environment import Environment
+from ptt.hidden import without_hidden
 from ptt.materials import Material, blinn_phong, cook_torrance, ggx, lambert, ward
 from ptt.measured import MERL, NeuralBRDF
 from ptt.metrics import relative_rmse
@@ -63,4 +64,5 @@ __all__ = [
     "separate",
     "tabulated",
     "ward",
+    "without_hidden",
 ]
