@@ -168,7 +168,9 @@ def test_lighting_agrees(alone: None, n: int) -> None:
     g, grid = torch.Generator().manual_seed(n), Cube(n)
     fine = torch.rand(32 * 32, 4, generator=g)
     turned = (turn(1, 40.0) @ turn(0, 25.0)).float()
-    arguments = fine, turned, *samples(grid), grid.shape
+    directions, shares = samples(grid)
+    strided = directions.transpose(0, 2).contiguous().transpose(0, 2)
+    arguments = fine, turned.T.contiguous().T, strided, shares, grid.shape
     close(native.lighting(*arguments), PLAIN[0](*arguments), 1e-5)
 
 

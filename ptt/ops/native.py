@@ -67,11 +67,9 @@ def lighting(fine: Tensor, turn: Tensor, directions: Tensor, shares: Tensor, sha
     if kernels is None:
         return relight.lighting(fine, turn, directions, shares, shape)
     out = fine.new_empty(3, *shape)
-    tensors = [
-        _at(t) for t in (fine.contiguous(), turn.contiguous(), directions.contiguous(), shares.contiguous(), out)
-    ]
+    tensors = [t.contiguous() for t in (fine, turn, directions, shares, out)]  # kept until the kernel has read them
     sizes = [c_int64(size) for size in (_side(len(fine)), count, n)]
-    kernels.ptt_lighting(*tensors, *sizes, c_int(torch.get_num_threads()))
+    kernels.ptt_lighting(*map(_at, tensors), *sizes, c_int(torch.get_num_threads()))
     return out
 
 
