@@ -251,13 +251,7 @@ def right(
     exact = Uncompressed(raw, transfer.brdf, transfer.basis, transfer.direct.coarse, transfer.cuts)
     for (light_name, light), (kind, material) in ((a, b) for a in lights.items() for b in case.materials().items()):
         materials = dressed(scene, material)
-        truth = [
-            ptt.reference.radiance(scene, light, materials, points, wo, samples=samples, bounces=b, seed=b)
-            for b in (0, 2)
-        ]
-        whole, indirect = truth[1].mean, truth[1].mean - truth[0].mean
-        spread = [estimate.standard_error.square().sum() for estimate in truth]
-        noise = float(spread[1].sqrt() / whole.norm()), float((spread[0] + spread[1]).sqrt() / indirect.norm())
+        whole, indirect, noise = truth(scene, light, materials, points, wo, samples)
         how = f"{len(rows)} vertices, {samples} samples, noise of the reference {noise[0]:.4f} in total "
         how += f"and {noise[1]:.3f} in its indirect part, "
         how += f"which is {float(indirect.norm() / whole.norm()):.3f} of it; {material.shape}"
@@ -274,6 +268,30 @@ def right(
             what, goals = f"{name}, {light_name}, {kind}, {key}", GOALS[key] if smooth else ("", "")
             table.row(f"{what}, total", ptt.relative_rmse(ours, whole), "relative RMSE", how, goals[0])
             table.row(f"{what}, indirect", ptt.relative_rmse(bounced, indirect), "relative RMSE", how, goals[1])
+
+
+def truth(
+    scene: ptt.Scene,
+    light: ptt.Environment,
+    materials: Mapping[str, ptt.Material],
+    points: ptt.reference.Points,
+    wo: Tensor,
+    samples: int,
+) -> tuple[Tensor, Tensor, tuple[float, float]]:
+    """Radiance (v, 3) with two bounces, its indirect part, and the relative noise of both, from two halves.
+
+    The same seed with and without bounces: the same direct light is in both and leaves nothing in their difference.
+    """
+
+    def half(bounces: int, seed: int) -> Tensor:
+        return ptt.reference.radiance(
+            scene, light, materials, points, wo, samples=samples // 2, bounces=bounces, seed=seed
+        ).mean
+
+    wholes = torch.stack([half(2, seed) for seed in (0, 1)])
+    indirect = wholes - torch.stack([half(0, seed) for seed in (0, 1)])
+    spread, several = ((x[0] - x[1]).norm() / 2 / x.mean(0).norm() for x in (wholes, indirect))
+    return wholes.mean(0), indirect.mean(0), (float(spread), float(several))
 
 
 def without_bounces(model: ptt.TransferModel, most: int = 0) -> ptt.TransferModel:
