@@ -48,7 +48,7 @@ class Camera:
             raise ValueError(f"fov must lie between 0 and 180 degrees, got {self.fov}")
         if self.width < 1 or self.height < 1:
             raise ValueError(f"width and height must be at least 1 pixel, got {self.width} x {self.height}")
-        if not self.axes().isfinite().all():
+        if not all(map(math.isfinite, self._axes()[0])):
             raise ValueError(f"eye, target and up must span a view, got {self.eye}, {self.target}, {self.up}")
 
     @classmethod
@@ -68,11 +68,14 @@ class Camera:
 
     def axes(self) -> Tensor:
         """(3, 3) float64: unit vectors to the right, up, and ahead in the image."""
+        return torch.tensor(self._axes(), dtype=torch.float64)
+
+    def _axes(self) -> tuple[Vector, Vector, Vector]:
         (ex, ey, ez), (tx, ty, tz) = self.eye, self.target
         ahead = _unit((tx - ex, ty - ey, tz - ez))
         right = _cross(ahead, _unit(self.up))
         right = _unit(right) if math.hypot(*right) > 1e-9 else (math.nan, math.nan, math.nan)
-        return torch.tensor([right, _cross(right, ahead), ahead], dtype=torch.float64)
+        return right, _cross(right, ahead), ahead
 
     def rays(self) -> tuple[Tensor, Tensor]:
         """Origin (3,) and unit directions (height, width, 3) through the pixels' centres, row 0 on top."""

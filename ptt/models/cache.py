@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 SMALL = 64  # tensors of up to this many elements are compared by value
 
 
-class _Identity:
-    """A tensor that is equal to itself alone, and only until it is written to."""
+class Watch:
+    """Tensors that are equal to themselves alone, and only until one is written to."""
 
-    def __init__(self, tensor: Tensor) -> None:
-        self.tensor, self.version = tensor, tensor._version
+    def __init__(self, tensors: Iterable[Tensor]) -> None:
+        self.tensors = tuple(tensors)
+        self.versions = tuple(-1 if t.is_inference() else t._version for t in self.tensors)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Identity) and other.tensor is self.tensor and other.version == self.version
+        if not isinstance(other, Watch) or other.versions != self.versions:
+            return False
+        return all(a is b for a, b in zip(self.tensors, other.tensors, strict=True))
+
+
+def watched(*modules: nn.Module) -> Watch:
+    """The buffers of modules, without those of modules inside of them."""
+    return Watch(buffer for part in modules for buffer in part._buffers.values() if buffer is not None)
 
 
 class Cache:
@@ -30,7 +38,7 @@ class Cache:
         self._result: Any = None
 
     def __call__(self, inputs: Any, compute: Callable[[], Any]) -> Any:
-        """`compute()`, or its last result if `inputs` (tensors, dataclasses, mappings, plain values) are the same.
+        """`compute()`, or its last result if `inputs` (tensors, `Watch`, dataclasses, mappings, values) are the same.
 
         Results that carry gradients or were made from inference tensors are not kept: their graph serves once.
         """
@@ -52,7 +60,10 @@ def _stamp(value: Any, leaves: list[Tensor]) -> Any:
             return None
         if value.layout == torch.strided and value.numel() <= SMALL:
             return value.dtype, value.device, value.shape, tuple(value.detach().flatten().tolist())
-        return _Identity(value)
+        return Watch((value,))
+    if isinstance(value, Watch):
+        leaves.extend(value.tensors)
+        return value
     if is_dataclass(value) and not isinstance(value, type):
         return type(value), [_stamp(getattr(value, f.name), leaves) for f in fields(value)]
     if isinstance(value, Mapping):

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from ptt.environment import Environment
 from ptt.materials import Material
 from ptt.models import light_maps, slots
-from ptt.models.cache import Cache
+from ptt.models.cache import Cache, watched
 from ptt.models.indirect import COARSE, COARSEST, ORDER, blurs, responses
 from ptt.models.light_maps import LightMaps
 from ptt.models.transfer_model import TransferModel
@@ -125,7 +125,7 @@ class ClusterSteps(nn.Module):
 
     def exitant(self, lit: Lit, materials: Sequence[Material]) -> Exitant:
         """BRDF step."""
-        buffers = [*self.model.brdf.buffers(), *self.basis.buffers()]
+        buffers = watched(self.model.brdf, self.basis)
         dressed: list[Dressed] = [
             cache((material, buffers), partial(self._dressed, material))
             for cache, material in zip(self._materials, materials, strict=True)

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from ptt import materials as mat
 from ptt.environment import Environment
 from ptt.materials import Material
-from ptt.models.cache import Cache
+from ptt.models.cache import Cache, watched
 from ptt.models.cluster_steps import ClusterSteps
 from ptt.models.point_steps import PointSteps
 from ptt.models.transfer_model import TransferModel
@@ -60,13 +60,13 @@ class TransferRelighter(nn.Module):
 
     def incident(self, environment: Environment) -> Any:
         """Light step: what depends on the light alone."""
-        inputs = environment, [buffer for part in self._parts for buffer in part._buffers.values()]
+        inputs = environment, watched(*self._parts)
         return self._incident(inputs, lambda: self.steps.incident(environment))
 
     def exitant(self, environment: Environment, materials: Mapping[str, Material]) -> Any:
         """BRDF step: what depends on the light and on the materials (of every region, in their order)."""
         incident = self.incident(environment)
-        inputs = incident, dict(materials), list(self.model.brdf.buffers())
+        inputs = incident, dict(materials), watched(self.model.brdf)
         return self._exitant(inputs, lambda: self.steps.exitant(incident, list(materials.values())))
 
     def _toward(self, view: View) -> Tensor:

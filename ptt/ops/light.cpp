@@ -7,7 +7,9 @@
 
 // light_eigen: U[k, c, x] = sum over l of  L[k, c, l] T[k, l, x]; T is read once, in its own type. L is where a cluster's
 // three channels begin, `channel` apart, and those of the next `cluster` further; columns: which l, or all in order.
-constexpr int WIDE = 8;  // vectors of x at a time: their sums stay in registers
+constexpr int WIDE = 8;    // vectors of x at a time: their sums stay in registers
+constexpr int AHEAD = 32;  // rows that are fetched ahead, then those of the next tile
+constexpr int LINE = 64;   // bytes that memory gives at a time
 
 template <class Stored>
 struct Light {
@@ -26,7 +28,8 @@ struct Light {
         const Stored *t = transfer + k * rows * width + x;
         Lanes sum[3][N] = {};
         for (int64_t l = 0; l < rows; ++l, t += width) {
-            for (int n = 0; n < N; n += 2) __builtin_prefetch(t + 4 * width + n * LANES);
+            const Stored *later = t + (l + AHEAD < rows ? AHEAD * width : (AHEAD - rows) * width + N * LANES);
+            for (int n = 0; n < N; n += LINE / sizeof(Stored) / LANES) __builtin_prefetch(later + n * LANES);
             for (int n = 0; n < N; ++n) {
                 const Lanes value = load(t + n * LANES);
                 for (int c = 0; c < 3; ++c) sum[c][n] += light(k, c, l) * value;
