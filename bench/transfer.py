@@ -42,7 +42,7 @@ IMAGES = ROOT / "docs" / "images"
 CONFIGS = ROOT / "scripts" / "configs"
 LIGHTS = {"uffizi": "uffizi.hdr", "grace": "grace_cross.hdr", "courtyard": "courtyard.exr"}
 PAPER = ptt.Clusters(points=1000, eigenvectors=32, lighting=64)
-OWN = ptt.Clusters(points=250, eigenvectors=32, lighting=32)
+OWN = ptt.Clusters(points=1000, eigenvectors=96, lighting=16)
 # relative RMSE in total and of the indirect part; paper-16 has the eigenvectors of the paper's Watch scene
 GOALS = {"uncompressed": ("<= 0.03", "<= 0.1"), "paper": ("<= 0.06", ""), "own": ("<= 0.04", ""), "paper-16": ("", "")}
 SAMPLES = 4096
