@@ -328,7 +328,7 @@ def caustic(name: str) -> list[dict[str, str]]:
     table = Table("transfer")
     ring, faces = mesh.torus_mesh(0.8, 0.18)
     parts = [
-        Part("ring", ring + torch.tensor([0.0, 0.18, 0.0]), faces, material=ptt.blinn_phong(0.05, 0.9, 100.0)),
+        Part("ring", ring + torch.tensor([0.0, 0.18, 0.0]), faces, material=ptt.blinn_phong(0.1, 0.8, 60.0)),
         Part("table", *mesh.plane_mesh(4.0, 90), material=ptt.lambert(0.6), editable=False),
     ]
     camera = ptt.Camera((0.3, 3.2, 2.6), (0.0, 0.0, 0.0), fov=36, width=320, height=240)
@@ -336,13 +336,13 @@ def caustic(name: str) -> list[dict[str, str]]:
     light = ptt.Environment.area_light((-0.8, 0.75, -0.2), 12.0, 30.0)
     raw = ptt.precompute(scene, 2, progress=True)
     space = ptt.BRDFSpace.blinn_phong()
-    brdf, basis = ptt.TensorBRDF.fit(space, ranks=(4, 24, 24), separated=3), ptt.BRDFBasis.fit(space)
+    brdf, basis = ptt.TensorBRDF.fit(space, ranks=(4, 24, 24), separated=2), ptt.BRDFBasis.fit(space)
     transfer = ptt.assemble(raw, brdf, basis, 96, progress=True)
     model = ptt.cluster(transfer, OWN, progress=True)
     seams(table, scene, light, model, ptt.cluster(transfer, replace(OWN, points=100, eigenvectors=96, columns=4096)))
     relighters = [ptt.TransferRelighter(without_bounces(model, most)) for most in range(3)]
     strips = []
-    for kind, material in (("shiny", ptt.blinn_phong(0.05, 0.9, 100.0)), ("dull", ptt.blinn_phong(0.5, 0.1, 4.0))):
+    for kind, material in (("shiny", ptt.blinn_phong(0.1, 0.8, 60.0)), ("dull", ptt.blinn_phong(0.5, 0.1, 4.0))):
         materials = dressed(scene, material)
         radiance = [r(light, materials, camera) for r in relighters]
         images = [ptt.render(scene, camera, b).pixels for b in radiance]
