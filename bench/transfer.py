@@ -89,7 +89,7 @@ def fitted_materials() -> dict[str, ptt.Material]:
 
 CASES = {
     "suzanne": Case(
-        ptt.BRDFSpace.blinn_phong, (4, 24, 24), 3, 4, blinn_phong_materials,
+        ptt.BRDFSpace.blinn_phong, (4, 40, 40), 3, 4, blinn_phong_materials,
         ("Airplane", 13100, 144, (2.5, 6.4), (139.5, 30.79, 5.91)), 300.0,
     ),
     "dragon": Case(
@@ -115,14 +115,18 @@ def main() -> None:
         return
     if "PTT_DATA" not in os.environ:
         parser.error("set PTT_DATA to the folder with meshes and hdri")
+    for name in arguments.only or (*CASES, *OTHERS):
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            replace_rows(name, pool.submit(OTHERS.get(name, scene_rows), name).result())
+
+
+def replace_rows(name: str, new: list[dict[str, str]]) -> None:
+    """Write the rows of one scene; those of the others stay as they are in the file by now."""
     table = Table("transfer")
     old = list(csv.DictReader(table.path.open())) if table.path.exists() else []
-    rows = {name: [row for row in old if row["what"].startswith(name)] for name in (*CASES, *OTHERS)}
-    for name in arguments.only or rows:
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            rows[name] = pool.submit(OTHERS.get(name, scene_rows), name).result()
-        table.rows = [row for scene in rows.values() for row in scene]
-        table.write()
+    rows = {scene: [row for row in old if row["what"].startswith(scene)] for scene in (*CASES, *OTHERS)}
+    table.rows = [row for scene in (rows | {name: new}).values() for row in scene]
+    table.write()
 
 
 def scene_rows(name: str) -> list[dict[str, str]]:
