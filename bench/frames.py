@@ -149,7 +149,7 @@ def growth(table: Table) -> None:
         relighter = ptt.TransferRelighter(model, compiled=True)
         return step_times(relighter, light, list(dressed(scene, material).values()), scene.camera)
 
-    scenes = [balls(fineness, 2, material) for fineness in (2, 3, 4, 5)]
+    scenes = [balls(fineness, 2, material) for fineness in (2, 3, 4)]
     exponents(table, "growth", "vertices", [(len(scene.vertices), times(scene)) for scene in scenes])
     exponents(table, "growth", "regions", [(regions, times(balls(3, regions, material))) for regions in (1, 2, 4, 8)])
 
