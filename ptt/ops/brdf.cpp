@@ -4,8 +4,7 @@
 
 #include <vector>
 
-constexpr int HARMONICS = 16, PAD = 16;  // of order 4; rows of the tables are padded to a multiple of PAD
-constexpr float LARGEST = 6e4f;          // that a float16 is given
+constexpr float LARGEST = 6e4f;  // that a float16 is given
 
 // As ptt/ops/native.py lays it out: U0 (k, 3, e, i), U1 (k, 3, q, e, 16), U2 (k, 3, p, e), H (3, q), pairs (3, p),
 // and two tables of what each of i, and of 16, adds to a row of out (k, 3, e, x): (3, i, padded), (3, 16, padded).
@@ -76,6 +75,10 @@ static inline void expand_tile(const float *a, const float *w, Half *s, int64_t 
             store(s + n * LANES / GROUP * group + r * GROUP + n * LANES % GROUP, scale * sum[r][n]);
 }
 
+// By the number of rows.
+constexpr decltype(&expand_tile<1>) TILES[ROWS] = {expand_tile<1>, expand_tile<2>, expand_tile<3>,
+                                                   expand_tile<4>, expand_tile<5>, expand_tile<6>};
+
 // The largest of n absolute values.
 static inline float largest(const float *p, int64_t n) {
     float found = 0;
@@ -111,14 +114,7 @@ extern "C" void ptt_expand(const float *eigen, const float *weights, const int64
                     const int64_t first = x * t / tiles, end = x * (t + 1) / tiles;
                     const float *a = own + c * e * x + first;
                     Half *s = out + (b * width + at) / GROUP * group + (c * x + first) * GROUP;
-                    switch (end - first) {
-                        case 1: expand_tile<1>(a, w + at, s, e, x, width, group, 1 / most); break;
-                        case 2: expand_tile<2>(a, w + at, s, e, x, width, group, 1 / most); break;
-                        case 3: expand_tile<3>(a, w + at, s, e, x, width, group, 1 / most); break;
-                        case 4: expand_tile<4>(a, w + at, s, e, x, width, group, 1 / most); break;
-                        case 5: expand_tile<5>(a, w + at, s, e, x, width, group, 1 / most); break;
-                        case 6: expand_tile<6>(a, w + at, s, e, x, width, group, 1 / most); break;
-                    }
+                    TILES[end - first - 1](a, w + at, s, e, x, width, group, 1 / most);
                 }
     });
 }

@@ -19,6 +19,7 @@ constexpr int LANES = 4;
 #endif
 
 constexpr float TINY = 1e-30f;
+constexpr int HARMONICS = 16;  // in which indirect light arrives: of order 4
 
 typedef float Lanes __attribute__((vector_size(4 * LANES)));
 typedef int32_t Ints __attribute__((vector_size(4 * LANES)));
@@ -106,27 +107,6 @@ static inline void gather_four(const float *p, Ints index, Lanes *x) {
     for (int i = 0; i < 4; ++i) x[i] = gather(p + i, index);
 #endif
 }
-
-#if defined(__AVX512F__)
-static inline void transpose(__m512 (&r)[16]) {
-    __m512 t[16];
-    for (int i = 0; i < 16; i += 2) t[i] = _mm512_unpacklo_ps(r[i], r[i + 1]), t[i + 1] = _mm512_unpackhi_ps(r[i], r[i + 1]);
-    for (int i = 0; i < 16; i += 4)
-        for (int j = 0; j < 2; ++j) {
-            const __m512d a = (__m512d)t[i + j], b = (__m512d)t[i + 2 + j];
-            r[i + 2 * j] = (__m512)_mm512_unpacklo_pd(a, b), r[i + 2 * j + 1] = (__m512)_mm512_unpackhi_pd(a, b);
-        }
-    for (int i = 0; i < 16; i += 8)
-        for (int j = 0; j < 4; ++j) {
-            t[i + j] = _mm512_shuffle_f32x4(r[i + j], r[i + 4 + j], 0x88);
-            t[i + 4 + j] = _mm512_shuffle_f32x4(r[i + j], r[i + 4 + j], 0xdd);
-        }
-    for (int j = 0; j < 8; ++j) {
-        r[j] = _mm512_shuffle_f32x4(t[j], t[8 + j], 0x88);
-        r[8 + j] = _mm512_shuffle_f32x4(t[j], t[8 + j], 0xdd);
-    }
-}
-#endif
 
 static inline Lanes root(Lanes v) {
     float x[LANES];

@@ -12,7 +12,6 @@
 
 constexpr int AHEAD = 2;        // groups
 constexpr int TILE = 4;         // cells, of the cuts
-constexpr int HARMONICS = 16;   // of order 4
 
 // As ptt/ops/native.py lays it out; shapes as ptt/ops/view.py documents them.
 struct Arguments {
@@ -31,20 +30,6 @@ template <int J, class Use>
 static inline __attribute__((always_inline)) void mix(const float *table, int columns, const Ints (&at)[J],
                                                       const Lanes (&weight)[J], Use use) {
     int i = 0;
-#if defined(__AVX512F__)
-    for (; columns - i > 4; i += 16) {  // row by row, then turned
-        const int count = std::min(columns - i, 16);
-        const __mmask16 mask = (1 << count) - 1;
-        __m512 sum[16];
-        for (int l = 0; l < 16; ++l) {
-            sum[l] = _mm512_setzero_ps();
-            for (int j = 0; j < J; ++j)
-                sum[l] += _mm512_set1_ps(weight[j][l]) * _mm512_maskz_loadu_ps(mask, table + i + at[j][l]);
-        }
-        transpose(sum);
-        for (int m = 0; m < count; ++m) use(i + m, (Lanes)sum[m]);
-    }
-#endif
     if (columns >= 4)
         while (i < columns) {
             const int first = std::min(i, columns - 4);  // overlaps the four before at the end
