@@ -115,7 +115,7 @@ def bunny(table: Table, data: Path, vertices: int, samples: int) -> None:
     how = f"{vertices} random vertices that face the camera, uffizi.hdr, tensor (4, 24, 24) of exponents 1..64"
     for kind, goal in (("diffuse", 0.01), ("Blinn-Phong 20", 0.03)):
         points = ptt.reference.Points(
-            scene.vertices[index], scene.frames[index], scene.vertex_region[index], scene.colours[index]
+            scene.points[index], scene.frames[index], scene.vertex_region[index], scene.colours[index]
         )
         wo = scene.camera.toward(points.position)
         truth = ptt.reference.radiance(scene, light, materials[kind], points, wo, samples=samples)

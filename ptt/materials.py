@@ -77,6 +77,19 @@ def ggx(diffuse: Colour = 0.5, specular: Colour = 1.0, f0: Number = 0.04, roughn
     return Material(diffuse, specular, GGX(f0, roughness))
 
 
+def dressed(own: Mapping[str, Material], given: Mapping[str, Material]) -> dict[str, Material]:
+    """The materials of every region, in their order: the given ones, else its own.
+
+    Raises:
+        ValueError: a region that there is not, or what is no material.
+    """
+    if unknown := [name for name in given if name not in own]:
+        raise ValueError(f"no region {', '.join(unknown)}; there are {', '.join(own)}")
+    if wrong := [name for name, material in given.items() if not isinstance(material, Material)]:
+        raise ValueError(f"materials must map regions to ptt.Material, got {type(given[wrong[0]]).__name__}")
+    return {name: given.get(name, material) for name, material in own.items()}
+
+
 def to_config(material: Material) -> dict[str, Any]:
     """A material as plain values, e.g. {"model": "blinn-phong", "diffuse": [..], "specular": [..], "exponent": 20}."""
     if material.shape is None:

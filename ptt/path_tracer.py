@@ -183,7 +183,7 @@ class Paths:
         triangle, weights = _pick(hits.triangle, rows), _pick(hits.barycentric, rows)
         corners = _pick(self.corners, triangle).view(-1, 10, 3)
         position = corners[:, 0].double() + (corners[:, 1:3] * weights[:, 1:, None]).sum(1)
-        frame = _frames(_mix(corners[:, 4:7], weights), _mix(corners[:, 7:10], weights))
+        frame = orthonormal(_mix(corners[:, 4:7], weights), _mix(corners[:, 7:10], weights))
         wo = -to_local(frame, _pick(directions, rows))
         at = Vertices(
             self.scene.surface.offset(position, corners[:, 3]),
@@ -264,7 +264,7 @@ def _mix(corners: Tensor, weights: Tensor) -> Tensor:
     return torch.einsum("nkc,nk->nc", corners, weights)
 
 
-def _frames(normal: Tensor, tangent: Tensor) -> Tensor:
+def orthonormal(normal: Tensor, tangent: Tensor) -> Tensor:
     """Orthonormal frames (n, 3, 3) from interpolated normals and tangents (n, 3)."""
     normal = torch.nn.functional.normalize(normal, dim=1)
     tangent = tangent - (tangent * normal).sum(1, keepdim=True) * normal

@@ -198,6 +198,27 @@ def number(value: Number) -> float:
     return float(value.detach()) if isinstance(value, Tensor) else float(value)
 
 
+def frozen(shape: Shape) -> tuple[object, ...]:
+    """What a shape is, its parameters as plain numbers: a key that later edits of a parameter do not change."""
+    match shape:
+        case Named(name, function):
+            return shape.model, name, function
+        case Blend(parts, weights):
+            return shape.model, *(frozen(part) for part in parts), *(number(w) for w in weights)
+    return shape.model, *((name, number(value)) for name, value in parameters(shape).items())
+
+
+def carries_gradient(shape: Shape) -> bool:
+    """Whether a parameter requires a gradient."""
+    if isinstance(shape, Blend):
+        return any(map(carries_gradient, shape.shapes)) or any(map(_requires_grad, shape.weights))
+    return any(map(_requires_grad, parameters(shape).values()))
+
+
+def _requires_grad(value: Number) -> bool:
+    return isinstance(value, Tensor) and value.requires_grad
+
+
 def turns_alike(shape: Shape) -> bool:
     """Whether a shape looks isotropic: 4096 pairs, near the mirror direction and far, against their fifth turn."""
     random = torch.Generator().manual_seed(0)

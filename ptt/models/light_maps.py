@@ -19,7 +19,7 @@ from torch import Tensor
 from ptt.environment import Environment
 from ptt.ops import lobes
 from ptt.ops.octahedral import Octahedral
-from ptt.ops.sphere import Cube
+from ptt.ops.sphere import Grid
 
 FINE = 256  # cells along an edge of the map that lighting is read from
 SIDE = 128  # of the blurred ones
@@ -50,11 +50,12 @@ def light_maps(environment: Environment, angles: Sequence[float]) -> LightMaps:
     return LightMaps(torch.nn.functional.pad(fine.reshape(-1, 3), (0, 1)), blurred)
 
 
-def samples(grid: Cube) -> tuple[Tensor, Tensor]:
+def samples(grid: Grid) -> tuple[Tensor, Tensor]:
     """For `relight.lighting`: directions (4, 3, cells) and shares (4, cells) of the quarters of each cell."""
-    fine, n = grid.refine(2), grid.n
-    directions = fine.directions().reshape(6, n, 2, n, 2, 3).permute(2, 4, 5, 0, 1, 3).reshape(4, 3, -1)
-    solid = fine.solid_angles().reshape(6, n, 2, n, 2).permute(2, 4, 0, 1, 3).reshape(4, -1)
+    *_, rows, columns = grid.shape
+    fine = grid.refine(2)
+    directions = fine.directions().reshape(-1, rows, 2, columns, 2, 3).permute(2, 4, 5, 0, 1, 3).reshape(4, 3, -1)
+    solid = fine.solid_angles().reshape(-1, rows, 2, columns, 2).permute(2, 4, 0, 1, 3).reshape(4, -1)
     return directions.float().contiguous(), (solid / solid.sum(0)).float()
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import torch
 from torch import Tensor, nn
 
 from ptt import materials as mat
@@ -15,9 +14,7 @@ from ptt.models.cache import Cache, watched
 from ptt.models.cluster_steps import ClusterSteps
 from ptt.models.point_steps import PointSteps
 from ptt.models.transfer_model import TransferModel
-from ptt.scene import Camera
-
-View = Camera | Tensor
+from ptt.models.viewing import View, toward
 
 
 class TransferRelighter(nn.Module):
@@ -56,7 +53,7 @@ class TransferRelighter(nn.Module):
                 space, or a view of another shape.
         """
         chosen = self._chosen(materials)
-        return self.steps.radiance(self.exitant(environment, chosen), self._toward(view))
+        return self.steps.radiance(self.exitant(environment, chosen), toward(view, self.model.positions))
 
     def incident(self, environment: Environment) -> Any:
         """Light step: what depends on the light alone."""
@@ -69,26 +66,11 @@ class TransferRelighter(nn.Module):
         inputs = incident, dict(materials), watched(self.model.brdf)
         return self._exitant(inputs, lambda: self.steps.exitant(incident, list(materials.values())))
 
-    def _toward(self, view: View) -> Tensor:
-        """The eye (3,), or unit directions (v, 3) to the viewer."""
-        positions = self.model.positions
-        if isinstance(view, Camera):
-            return torch.tensor(view.eye).to(positions)
-        if view.shape not in ((3,), positions.shape):
-            raise ValueError(f"view must be a Camera, (3,) or {tuple(positions.shape)}, got {tuple(view.shape)}")
-        if not bool(torch.isfinite(view).all()) or (view.ndim == 2 and not bool((view != 0).any(1).all())):
-            raise ValueError("view must be finite, and directions not zero")
-        view = view.to(positions)
-        return view if view.ndim == 1 else nn.functional.normalize(view, dim=1)
-
     def _chosen(self, materials: Mapping[str, Material]) -> dict[str, Material]:
         own = self.model.receivers
-        if unknown := [name for name in materials if name not in own.names]:
-            raise ValueError(f"no region {', '.join(unknown)}; the model has {', '.join(own.names)}")
-        if wrong := [name for name, given in materials.items() if not isinstance(given, Material)]:
-            raise ValueError(f"materials must map regions to ptt.Material, got {type(materials[wrong[0]]).__name__}")
+        chosen = mat.dressed(own.materials, materials)
         for name, editable in zip(own.names, own.editable, strict=True):
             given = materials.get(name)
             if given is not None and not editable and mat.to_config(given) != mat.to_config(own.materials[name]):
                 raise ValueError(f"region {name} is fixed: make it editable in the scene to change its material")
-        return own.materials | dict(materials)
+        return chosen

@@ -13,7 +13,7 @@
 constexpr int AHEAD = 2;        // groups
 constexpr int TILE = 4;         // cells, of the cuts
 
-// As ptt/ops/native.py lays it out; shapes as ptt/ops/view.py documents them.
+// As relight.py lays it out; shapes as ptt/ops/view.py documents them.
 struct Arguments {
     const float *position, *frame, *colour, *eye, *outgoing;
     const Half *sent;

@@ -1,4 +1,4 @@
-// Vectors of floats as wide as the processor has them, for the kernels of ptt/ops/native.py.
+// Vectors of floats as wide as the processor has them, for the kernels of ptt/ops/native.
 
 #pragma once
 #include <algorithm>
@@ -25,7 +25,7 @@ typedef float Lanes __attribute__((vector_size(4 * LANES)));
 typedef int32_t Ints __attribute__((vector_size(4 * LANES)));
 typedef uint16_t Shorts __attribute__((vector_size(2 * LANES)));
 
-// The types of torch, by the numbers that ptt/ops/native.py gives them.
+// The types of torch, by the numbers that relight.py gives them.
 struct Half {
     uint16_t bits;
 };

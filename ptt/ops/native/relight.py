@@ -13,11 +13,11 @@ from ctypes import c_int, c_int32, c_int64, c_void_p
 
 import torch
 from torch import Tensor
-from torch.autograd.forward_ad import unpack_dual
 
 from ptt.ops import relight
 from ptt.ops import view as plain
-from ptt.ops.kernels import library
+from ptt.ops.native.arguments import address, ready, side, square
+from ptt.ops.native.kernels import library
 from ptt.ops.octahedral import TILE
 from ptt.ops.relight import Arriving, Responses, Sent
 from ptt.ops.view import Gloss, Points
@@ -52,35 +52,30 @@ class _View(ctypes.Structure):
     )
 
 
-def available() -> bool:
-    """Whether the kernels can be built here; the first call builds them, or warns."""
-    return library() is not None
-
-
 def lighting(fine: Tensor, turn: Tensor, directions: Tensor, shares: Tensor, shape: Sequence[int]) -> Tensor:
     """L (3, *shape), as `ptt.ops.relight.lighting`."""
     *squares, n, _ = shape
     count, cells = math.prod(squares), math.prod(shape)
-    fits = _ready(fine, turn, directions, shares) and fine.shape[1] == 4 and _square(len(fine)) and cells % GROUP == 0
+    fits = ready(fine, turn, directions, shares) and fine.shape[1] == 4 and square(len(fine)) and cells % GROUP == 0
     fits = fits and turn.shape == (3, 3) and directions.shape == (4, 3, cells) and shares.shape == (4, cells)
     kernels = library() if fits else None
     if kernels is None:
         return relight.lighting(fine, turn, directions, shares, shape)
     out = fine.new_empty(3, *shape)
     tensors = [t.contiguous() for t in (fine, turn, directions, shares, out)]  # kept until the kernel has read them
-    sizes = [c_int64(size) for size in (_side(len(fine)), count, n)]
-    kernels.ptt_lighting(*map(_at, tensors), *sizes, c_int(torch.get_num_threads()))
+    sizes = [c_int64(size) for size in (side(len(fine)), count, n)]
+    kernels.ptt_lighting(*map(address, tensors), *sizes, c_int(torch.get_num_threads()))
     return out
 
 
 def light_eigen(transfer: Tensor, lighting: Tensor, columns: Tensor | None = None) -> Tensor:
     """U (k, c, x), as `ptt.ops.relight.light_eigen`, summed in float32."""
     k, rows, x = transfer.shape
-    fits = _ready(lighting) and _ready(transfer, types=STORED) and transfer.is_contiguous()
+    fits = ready(lighting) and ready(transfer, types=STORED) and transfer.is_contiguous()
     if columns is None:
         fits = fits and lighting.shape in ((3, rows), (k, 3, rows))
     else:
-        fits = fits and _ready(columns, types=INDEX) and columns.shape == (k, rows) and lighting.shape[:-1] == (3,)
+        fits = fits and ready(columns, types=INDEX) and columns.shape == (k, rows) and lighting.shape[:-1] == (3,)
     kernels = library() if fits else None
     if kernels is None:
         return relight.light_eigen(transfer, lighting, columns)
@@ -88,7 +83,7 @@ def light_eigen(transfer: Tensor, lighting: Tensor, columns: Tensor | None = Non
     columns = None if columns is None else columns.contiguous()
     cluster, channel = (0 if lighting.ndim == 2 else 3 * rows), lighting.shape[-1]
     sizes = [c_int64(size) for size in (cluster, channel, rows, x, k)]
-    tensors = [_at(t) for t in (lighting, columns, transfer, out)]
+    tensors = [address(t) for t in (lighting, columns, transfer, out)]
     numbers = c_int(STORED.index(transfer.dtype)), c_int(torch.get_num_threads())
     kernels.ptt_light(*tensors, *sizes, *numbers)
     return out
@@ -98,7 +93,7 @@ def eigen(arriving: Arriving, h: Tensor, pairs: Tensor, coupling: Tensor, respon
     """Q and I (k, c, e, 1 + o + s), as `ptt.ops.relight.eigen`."""
     (k, c, e, i), q, p = arriving.direct.shape, arriving.one.shape[2], arriving.two.shape[2]
     to_factors, to_harmonics = responses
-    fits = _ready(*arriving, h, pairs, coupling, *responses) and c == 3 and h.shape == (3, q) and pairs.shape == (3, p)
+    fits = ready(*arriving, h, pairs, coupling, *responses) and c == 3 and h.shape == (3, q) and pairs.shape == (3, p)
     fits = fits and arriving.one.shape == (k, 3, q, e, HARMONICS) and arriving.two.shape == (k, 3, p, e)
     fits = fits and coupling.shape[::2] == (3, i) and to_factors.shape == (HARMONICS, i)
     fits = fits and to_harmonics.shape == (HARMONICS, HARMONICS)
@@ -121,7 +116,7 @@ def eigen(arriving: Arriving, h: Tensor, pairs: Tensor, coupling: Tensor, respon
 def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Sent:
     """Values, as `ptt.ops.relight.expand`, in float16, scaled so that none overflows, and in smaller blocks."""
     (_, c, e, x), (b, _, w) = eigen.shape, weights.shape
-    fits = _ready(eigen, weights) and weights.is_contiguous() and _ready(cluster, types=INDEX)
+    fits = ready(eigen, weights) and weights.is_contiguous() and ready(cluster, types=INDEX)
     fits = fits and w % WIDTH == 0 and weights.shape[1] == e and cluster.shape == (b,)
     kernels = library() if fits else None
     if kernels is None:
@@ -130,7 +125,7 @@ def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Sent:
     groups = b * w // GROUP
     sent = Sent(torch.empty(groups, c, x, GROUP, dtype=torch.float16), torch.empty(groups))
     sizes = [c_int64(size) for size in (b, c, e, x, w)]
-    tensors = [_at(t) for t in (eigen, weights, cluster, *sent)]
+    tensors = [address(t) for t in (eigen, weights, cluster, *sent)]
     kernels.ptt_expand(*tensors, *sizes, c_int(torch.get_num_threads()))
     return sent
 
@@ -146,14 +141,14 @@ def view(points: Points, eye: Tensor, outgoing: Tensor, sent: Sent, gloss: Gloss
     tensors = {"position": points.position, "frame": points.frame, "place": points.place, "eye": eye, "line": line}
     tensors |= {"outgoing": outgoing, "sent": sent.values, "unit": sent.unit, "out": out}
     numbers = {"blocks": b, "width": width, "rows": rows, "points": len(out), "threads": torch.get_num_threads()}
-    numbers |= {"distant": eye.ndim == 2, "factors": 1 + outgoing.shape[1], "disk": _side(len(outgoing))}
+    numbers |= {"distant": eye.ndim == 2, "factors": 1 + outgoing.shape[1], "disk": side(len(outgoing))}
     if points.colour is not None:
         tensors["colour"] = points.colour
     if gloss is not None:
         tensors |= {name: getattr(gloss, name).contiguous() for name in ("rho", "specular", "maps", "turn", "blurs")}
         tensors |= {"which": gloss.which.contiguous(), "cuts": points.cuts}
         numbers |= {"harmonics": rows - numbers["factors"], "tilts": gloss.tilts}
-        numbers |= {"cells": _side(points.cuts.shape[1]), "map": _side(len(gloss.maps))}
+        numbers |= {"cells": side(points.cuts.shape[1]), "map": side(len(gloss.maps))}
     pointers = {name: tensor.data_ptr() for name, tensor in tensors.items()}
     kernels.ptt_view(ctypes.byref(_View(**pointers, **numbers)), 0 if gloss is None else len(gloss.which))
     return out
@@ -166,7 +161,7 @@ def _fits(points: Points, eye: Tensor, outgoing: Tensor, sent: Sent, gloss: Glos
     small = [eye, outgoing]
     n = values.shape[0] * values.shape[-1]
     shapes = values.ndim == 4 and values.shape[1] == 3 and values.shape[3] % GROUP == 0 and eye.shape in ((3,), (3, n))
-    shapes = shapes and points.position.shape == (3, n) and points.frame.shape == (3, 3, n) and _square(len(outgoing))
+    shapes = shapes and points.position.shape == (3, n) and points.frame.shape == (3, 3, n) and square(len(outgoing))
     shapes = (
         shapes
         and all(t.shape == (3, n) for t in large[3:])
@@ -177,35 +172,12 @@ def _fits(points: Points, eye: Tensor, outgoing: Tensor, sent: Sent, gloss: Glos
         small += [gloss.rho, gloss.specular, gloss.maps, gloss.turn, gloss.blurs]
         k, cuts = len(gloss.which), points.cuts
         shapes = shapes and 0 < k <= LOBES and gloss.rho.shape == (gloss.tilts, k) and gloss.specular.shape == (3,)
-        shapes = shapes and gloss.turn.shape == (3, 3) and _square(len(gloss.maps)) and gloss.maps.shape[1] == 3 * k
+        shapes = shapes and gloss.turn.shape == (3, 3) and square(len(gloss.maps)) and gloss.maps.shape[1] == 3 * k
         shapes = shapes and (values.shape[2] - 1 - outgoing.shape[1]) in (0, HARMONICS) and gloss.blurs.shape[0] == k
         shapes = shapes and (values.shape[2] == 1 + outgoing.shape[1] or gloss.blurs.shape[1] == HARMONICS)
-        shapes = shapes and cuts.shape[0] == n and _square(cuts.shape[1]) and cuts.is_contiguous()
-        shapes = shapes and _side(cuts.shape[1]) % TILE == 0
-        shapes = shapes and _ready(cuts, types=(torch.int32,)) and _ready(gloss.which, types=INDEX)
+        shapes = shapes and cuts.shape[0] == n and square(cuts.shape[1]) and cuts.is_contiguous()
+        shapes = shapes and side(cuts.shape[1]) % TILE == 0
+        shapes = shapes and ready(cuts, types=(torch.int32,)) and ready(gloss.which, types=INDEX)
     contiguous = all(t.is_contiguous() for t in (*large, values, points.place))
-    indices = _ready(points.place, types=INDEX)
-    return shapes and contiguous and indices and _ready(*large, *small) and _ready(values, types=(torch.float16,))
-
-
-def _ready(*tensors: Tensor, types: Sequence[torch.dtype] = STORED[:1]) -> bool:
-    """Whether a kernel can read tensors: of one of these types, on the CPU, without derivatives."""
-    return not torch.compiler.is_compiling() and all(
-        t.dtype in types
-        and t.device.type == "cpu"
-        and not (torch.is_grad_enabled() and t.requires_grad)
-        and unpack_dual(t).tangent is None
-        for t in tensors
-    )
-
-
-def _at(t: Tensor | None) -> c_void_p:
-    return c_void_p(None if t is None else t.data_ptr())
-
-
-def _side(cells: int) -> int:
-    return math.isqrt(cells)
-
-
-def _square(cells: int) -> bool:
-    return _side(cells) ** 2 == cells > 0
+    indices = ready(points.place, types=INDEX)
+    return shapes and contiguous and indices and ready(*large, *small) and ready(values, types=(torch.float16,))

@@ -6,7 +6,7 @@
 
 constexpr float LARGEST = 6e4f;  // that a float16 is given
 
-// As ptt/ops/native.py lays it out: U0 (k, 3, e, i), U1 (k, 3, q, e, 16), U2 (k, 3, p, e), H (3, q), pairs (3, p),
+// As relight.py lays it out: U0 (k, 3, e, i), U1 (k, 3, q, e, 16), U2 (k, 3, p, e), H (3, q), pairs (3, p),
 // and two tables of what each of i, and of 16, adds to a row of out (k, 3, e, x): (3, i, padded), (3, 16, padded).
 struct Eigen {
     const float *direct, *one, *two, *h, *pairs, *from_direct, *from_light;

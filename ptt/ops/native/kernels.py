@@ -14,7 +14,7 @@ import warnings
 from functools import cache
 from pathlib import Path
 
-SOURCES = tuple(Path(__file__).with_name(name) for name in ("light.cpp", "brdf.cpp", "view.cpp"))
+SOURCES = tuple(Path(__file__).with_name(name) for name in ("light.cpp", "brdf.cpp", "view.cpp", "rotation.cpp"))
 HEADER = Path(__file__).with_name("lanes.h")
 # not -ffast-math, with which GCC sets the process to flush denormals
 FLAGS = "-std=c++17 -O3 -march=native -mprefer-vector-width=512 -fno-math-errno -fno-trapping-math -fopenmp -fPIC -w"
@@ -31,6 +31,11 @@ def library() -> ctypes.CDLL | None:
         reason = str(error)
     warnings.warn(f"no C++ compiler, relighting stays eager: {reason}", UserWarning, stacklevel=4)
     return None
+
+
+def available() -> bool:
+    """Whether the kernels can be built here; the first call builds them, or warns."""
+    return library() is not None
 
 
 def _folder() -> Path:

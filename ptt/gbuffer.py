@@ -1,0 +1,83 @@
+"""G-buffer: the points that a camera sees, one for each pixel, for shading per pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ptt.environment import Environment
+from ptt.path_tracer import orthonormal
+from ptt.render import Image
+from ptt.scene import Camera, Scene
+
+
+@dataclass(frozen=True, eq=False)
+class GBuffer:
+    """Of p pixels that see a front face, row by row: traced once for a view, shaded as often as one likes.
+
+    camera: that sees them
+    pixel (p,): row * width + column
+    triangle (p,), barycentric (p, 3): where on the mesh
+    positions (p, 3), frames (p, 3, 3): rows tangent, bitangent, normal, interpolated and orthonormal
+    colours (p, 3): linear base colour, from the texture where there is one
+    region (p,): index into `Scene.regions`
+    uv (p, 2): texture coordinates; None where the scene has none
+    missed (height * width,) bool: pixels that see nothing; those that see a back face are black
+    """
+
+    camera: Camera
+    pixel: Tensor
+    triangle: Tensor
+    barycentric: Tensor
+    positions: Tensor
+    frames: Tensor
+    colours: Tensor
+    region: Tensor
+    uv: Tensor | None
+    missed: Tensor
+
+    @classmethod
+    def of(cls, scene: Scene, camera: Camera) -> GBuffer:
+        """Trace the rays through the pixels' centres."""
+        eye, directions = camera.rays()
+        hits = scene.surface.first_hit(eye.expand(camera.width * camera.height, 3), directions.reshape(-1, 3))
+        pixel = hits.front.nonzero()[:, 0]
+        triangle, barycentric = hits.triangle[pixel], hits.barycentric[pixel]
+        corners = scene.faces[triangle]
+
+        def mixed(values: Tensor) -> Tensor:
+            return torch.einsum("pk,pkx->px", barycentric, values[corners])
+
+        return cls(
+            camera,
+            pixel,
+            triangle,
+            barycentric,
+            mixed(scene.vertices),
+            orthonormal(mixed(scene.normals), mixed(scene.tangents)),
+            scene.albedo(triangle, barycentric),
+            scene.face_region[triangle],
+            None if scene.uv is None else mixed(scene.uv),
+            hits.triangle < 0,
+        )
+
+    def interpolated(self, scene: Scene, values: Tensor) -> Tensor:
+        """Values (p, ...) of those at the scene's vertices (v, ...)."""
+        return torch.einsum("pk,pk...->p...", self.barycentric.to(values), values[scene.faces[self.triangle]])
+
+    def image(self, radiance: Tensor, environment: Environment | None = None) -> Image:
+        """The picture of radiance (p, 3), the environment behind it; black without one.
+
+        Raises:
+            ValueError: radiance is not finite (p, 3).
+        """
+        if radiance.shape != self.positions.shape or not bool(radiance.isfinite().all()):
+            raise ValueError(f"radiance must be finite, {tuple(self.positions.shape)}, got {tuple(radiance.shape)}")
+        pixels = radiance.new_zeros(len(self.missed), 3)
+        if environment is not None:
+            directions = self.camera.rays()[1].reshape(-1, 3)
+            pixels[self.missed] = environment.radiance(directions[self.missed]).to(radiance)
+        pixels[self.pixel] = radiance
+        return Image(pixels.reshape(self.camera.height, self.camera.width, 3))

@@ -1,0 +1,228 @@
+"""Light in the local frames of sampled normals (Wang et al. 2006), by one of three operators with the same meaning."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from os import PathLike
+from typing import Any, Literal, get_args
+
+import torch
+from torch import Tensor, nn
+from tqdm import tqdm
+
+from ptt import saved
+from ptt.models.cache import Cache, watched
+from ptt.ops import native, rotation
+from ptt.ops.octahedral import HemiOctahedral, Octahedral
+from ptt.ops.rotation import SAMPLES, Quantised, Resampling
+
+Operator = Literal["factored", "resample", "matrix"]
+"""factored: W_M S W_N^T, its three factors one after the other; S is kept, 4 bytes for each of about 5 reads a cell.
+resample: the same, but S is looked up anew for every light: no tables.
+matrix: R itself, the paper's, in 16 bits: about 66 numbers a cell; it alone can drop small ones."""
+
+KIND = "light rotation"
+BLOCK = 32  # frames whose matrices are formed at once
+LARGEST = 32767  # of a 16-bit number
+TABLES = {"factored": ("starts", "reads"), "resample": (), "matrix": ("starts", "columns", "numbers", "unit")}
+
+
+class LightRotation(nn.Module):
+    """rotation(coefficients (c, n, n)) -> local light (f, M, c), both in Haar coefficients (`ops.haar`).
+
+    n, m: along the edges of the light's map, `Octahedral(n)`, and of the local ones, `HemiOctahedral(m)`; M = m * m
+    operator: "factored", "resample" or "matrix" (`Operator`)
+    samples: along the edge of a local cell, that read the light's map
+    frames (f, 3, 3): rows tangent, bitangent, normal
+    tables: those of the operator, as `build` makes them
+    normals: along the edge of the octahedral map of normals that the frames stand for; None for other frames
+    compiled: by kernels in C++; without, and wherever gradients are asked for, by torch
+
+    Differentiable in the coefficients.
+
+    Example:
+        >>> rotate = LightRotation.build(16, normals=8)
+        >>> rotate(torch.ones(3, 16, 16)).shape
+        torch.Size([64, 64, 3])
+    """
+
+    frames: Tensor
+    starts: Tensor
+    reads: Tensor
+    columns: Tensor
+    numbers: Tensor
+    unit: Tensor
+
+    def __init__(
+        self,
+        n: int,
+        m: int,
+        operator: Operator,
+        samples: int,
+        frames: Tensor,
+        tables: Mapping[str, Tensor],
+        normals: int | None = None,
+        compiled: bool = True,
+    ) -> None:
+        super().__init__()
+        self.n, self.m, self.operator, self.samples = n, m, operator, samples
+        self.normals, self.compiled, self._csr = normals, compiled, Cache()
+        for name, tensor in {"frames": frames, **tables}.items():
+            self.register_buffer(name, tensor)
+
+    @classmethod
+    def build(
+        cls,
+        n: int = 64,
+        normals: int = 32,
+        *,
+        frames: Tensor | None = None,
+        m: int | None = None,
+        operator: Operator = "factored",
+        samples: int = SAMPLES,
+        threshold: int = 1,
+        compiled: bool = True,
+        progress: bool = False,
+    ) -> LightRotation:
+        """Tables for a light of n * n cells, n a power of two.
+
+        normals: along the edge of the octahedral map of normals, each with the frame of `rotation.frames_of`
+        frames (f, 3, 3): rows tangent, bitangent, normal, in place of those
+        m: None for n / 2, at which a local cell is as wide as 1.4 of the light's
+        samples: 1..15; with 4 S has 4.8 reads a cell
+        threshold: of "matrix": numbers below it are dropped, on a scale of 32767 for the largest that can be
+        progress: a bar, for "matrix"
+
+        Raises:
+            ValueError: n or m is no power of two, the operator is unknown, frames are not orthonormal, or the
+                threshold leaves nothing.
+        """
+        m = n // 2 if m is None else m
+        for name, size, least in (("n", n, 2), ("m", m, 1)):
+            if size < least or size & (size - 1):
+                raise ValueError(f"{name} must be a power of two, at least {least}, got {size}")
+        if operator not in get_args(Operator):
+            raise ValueError(f"operator must be one of {', '.join(get_args(Operator))}, got {operator!r}")
+        if threshold < 1 or (operator != "matrix" and threshold > 1):
+            raise ValueError(f'threshold must be at least 1, and is for "matrix" alone, got {threshold}')
+        given = frames is not None
+        frames = rotation.frames_of(Octahedral(normals).directions().reshape(-1, 3)) if frames is None else frames
+        rotation.check_frames(frames)
+        tables: dict[str, Tensor] = {}
+        if operator != "resample":
+            s = rotation.resampling(Octahedral(n), HemiOctahedral(m), frames, samples)
+            tables = {"starts": s.starts, "reads": s.reads}
+        if operator == "matrix":
+            tables = _matrices(s, n, m, threshold, progress)
+        return cls(n, m, operator, samples, frames.float(), tables, None if given else normals, compiled)
+
+    @property
+    def bytes(self) -> int:
+        """Size of the tables, without the frames."""
+        tables = [self.get_buffer(name) for name in TABLES[self.operator]]
+        return sum(table.numel() * table.element_size() for table in tables)
+
+    def forward(self, coefficients: Tensor) -> Tensor:
+        """Local light (f, M, c) of a light (c, n, n), float32 or float64; 16-bit types are computed in float32.
+
+        Raises:
+            ValueError: coefficients have another shape or are not finite.
+        """
+        if coefficients.ndim != 3 or coefficients.shape[1:] != (self.n, self.n):
+            raise ValueError(f"coefficients must be (c, {self.n}, {self.n}), got {tuple(coefficients.shape)}")
+        if not bool(coefficients.isfinite().all()):
+            raise ValueError("coefficients must be finite")
+        light = coefficients.float() if coefficients.dtype.itemsize < 4 else coefficients
+        fast = self.compiled and native.rotates(light)
+        if self.operator == "resample":
+            target = HemiOctahedral(self.m)
+            rotate = native.resampled_light if fast else rotation.resampled_light
+            return rotate(light, self.frames, target, self.samples)
+        if self.operator == "factored":
+            s = Resampling(self.starts, self.reads, self.samples)
+            return (native.local_light if fast else rotation.local_light)(light, s, self.m)
+        matrix = Quantised(self.starts, self.columns, self.numbers, float(self.unit))
+        if fast:
+            return native.rotated_light(light, matrix, self.m)
+        csr: Tensor = self._csr((watched(self), light.dtype), lambda: matrix.to_csr(self.n**2, light.dtype))
+        return rotation.rotated_light(light, csr, self.m)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write a safetensors file, tables and all.
+
+        Raises:
+            ValueError: the file cannot be written.
+        """
+        config = {name: getattr(self, name) for name in ("n", "m", "operator", "samples", "normals")}
+        sizes = {name: len(tensor) for name, tensor in self.state_dict().items() if tensor.ndim}
+        saved.save(path, KIND, config | {"sizes": sizes}, self.state_dict())
+
+    @classmethod
+    def load(cls, path: str | PathLike[str], compiled: bool = True) -> LightRotation:
+        """The inverse of `save`.
+
+        Raises:
+            ValueError: the file is missing, cut short, or holds no light rotation.
+        """
+        config, tensors = saved.load(path, KIND)
+        with saved.describing(path):
+            n, m, operator = config["n"], config["m"], config["operator"]
+            saved.check(tensors, _expected(config))
+            _check_tables(tensors, n, operator, config["samples"])
+            tables = {name: tensors[name] for name in TABLES[operator]}
+            return cls(n, m, operator, config["samples"], tensors["frames"], tables, config["normals"], compiled)
+
+
+def _matrices(s: Resampling, n: int, m: int, threshold: int, progress: bool) -> dict[str, Tensor]:
+    """R of every frame in 16 bits. |R| <= |S|, whose rows sum to 1: the root of its largest column sum bounds both."""
+    frames, rows = (len(s.starts) - 1) // m**2, m**2
+    column = torch.zeros(n * n, dtype=torch.float64)
+    parts, unit = [], 0.0
+    for first in range(0, frames, BLOCK):
+        some = s.part(first * rows, min(frames, first + BLOCK) * rows)
+        frame = torch.arange(len(some.starts) - 1).repeat_interleave(some.starts.diff()) // rows
+        sums = torch.zeros(BLOCK * n * n, dtype=torch.float64)
+        sums.index_add_(0, frame * n * n + some.cells, some.weights())
+        column = torch.maximum(column, sums.reshape(BLOCK, -1).amax(0))
+    unit = math.sqrt(float(column.max())) / LARGEST
+    with tqdm(total=frames, desc="matrices", unit=" frames", disable=not progress) as bar:
+        for first in range(0, frames, BLOCK):
+            some = s.part(first * rows, min(frames, first + BLOCK) * rows)
+            parts.append(rotation.quantise(rotation.matrices(some, n, m), unit, threshold))
+            bar.update((len(some.starts) - 1) // rows)
+    kept = [len(part.numbers) for part in parts]
+    if not sum(kept):
+        raise ValueError(f"threshold {threshold} leaves nothing: every number of the matrices is below it")
+    starts = [part.starts[:-1] + sum(kept[:k]) for k, part in enumerate(parts)]
+    return {
+        "starts": torch.cat([*starts, torch.tensor([sum(kept)])]),
+        "columns": torch.cat([part.columns for part in parts]),
+        "numbers": torch.cat([part.numbers for part in parts]),
+        "unit": torch.tensor(unit, dtype=torch.float64),
+    }
+
+
+def _expected(config: Mapping[str, Any]) -> saved.Shapes:
+    sizes, f = config["sizes"], config["sizes"]["frames"]
+    column = torch.int16 if config["n"] ** 2 <= 1 << 15 else torch.int32
+    tables: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
+        "starts": (torch.int64, (f * config["m"] ** 2 + 1,)),
+        "reads": (torch.int32, (sizes.get("reads"),)),
+        "columns": (column, (sizes.get("columns"),)),
+        "numbers": (torch.int16, (sizes.get("columns"),)),
+        "unit": (torch.float64, ()),
+    }
+    return {"frames": (torch.float32, (f, 3, 3))} | {name: tables[name] for name in TABLES[config["operator"]]}
+
+
+def _check_tables(tensors: Mapping[str, Tensor], n: int, operator: Operator, samples: int) -> None:
+    """A wrong row or column would read foreign memory."""
+    if operator == "resample":
+        return
+    starts, columns = tensors["starts"], tensors["columns" if operator == "matrix" else "reads"]
+    if int(starts[0]) != 0 or int(starts[-1]) != len(columns) or bool((starts.diff() < 0).any()):
+        raise ValueError(f"holds wrong rows: starts must rise from 0 to {len(columns)}")
+    cells = columns if operator == "matrix" else Resampling(starts, columns, samples).cells
+    if int(cells.min()) < 0 or int(cells.max()) >= n * n:
+        raise ValueError(f"holds wrong columns: they must be in 0..{n * n - 1}")

@@ -1,0 +1,22 @@
+"""The hot functions of `ptt.ops` as kernels in C++: each takes and gives what the plain one of its name does.
+
+Where a kernel does not fit (another device or type, gradients, no compiler), the plain function answers.
+"""
+
+from ptt.ops.native.kernels import available
+from ptt.ops.native.relight import eigen, expand, light_eigen, lighting, view
+from ptt.ops.native.rotation import local_light, reflected, resampled_light, rotated_light, rotates
+
+__all__ = [
+    "available",
+    "eigen",
+    "expand",
+    "light_eigen",
+    "lighting",
+    "local_light",
+    "reflected",
+    "resampled_light",
+    "rotated_light",
+    "rotates",
+    "view",
+]

@@ -1,0 +1,34 @@
+"""What kernels can take."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from ctypes import c_void_p
+
+import torch
+from torch import Tensor
+from torch.autograd.forward_ad import unpack_dual
+
+
+def ready(*tensors: Tensor, types: Sequence[torch.dtype] = (torch.float32,)) -> bool:
+    """Whether a kernel can read tensors: of one of these types, on the CPU, without derivatives."""
+    return not torch.compiler.is_compiling() and all(
+        t.dtype in types
+        and t.device.type == "cpu"
+        and not (torch.is_grad_enabled() and t.requires_grad)
+        and unpack_dual(t).tangent is None
+        for t in tensors
+    )
+
+
+def address(t: Tensor | None) -> c_void_p:
+    return c_void_p(None if t is None else t.data_ptr())
+
+
+def side(cells: int) -> int:
+    return math.isqrt(cells)
+
+
+def square(cells: int) -> bool:
+    return side(cells) ** 2 == cells > 0

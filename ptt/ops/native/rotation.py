@@ -1,0 +1,120 @@
+"""Rotation of light, and what slices reflect of it, by kernels in C++; by the plain functions where none fits.
+
+They take and give what those of `ptt.ops.rotation` and `ptt.ops.slices` do, in float32 with up to four channels.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from ctypes import c_float, c_int, c_int32, c_int64, c_void_p
+from functools import cache
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from ptt.ops import haar, rotation, slices
+from ptt.ops.native.arguments import address, ready
+from ptt.ops.native.kernels import library
+from ptt.ops.rotation import Quantised, Resampling
+from ptt.ops.slices import ALIGNED, Located, Slices
+from ptt.ops.sphere import Grid
+
+CHANNELS = 4  # of a value in the kernels
+POINTERS = ("position", "normal", "leaned", "eye", "weights", "light", "near", "first", "terms", "values", "out")
+LONGS = ("points", "width", "kept")
+INTS = ("distant", "views", "threads")
+
+
+class _Reflect(ctypes.Structure):
+    _fields_ = (
+        *((name, c_void_p) for name in POINTERS),
+        *((name, c_int64) for name in LONGS),
+        *((name, c_int32) for name in INTS),
+    )
+
+
+def rotates(coefficients: Tensor) -> bool:
+    """Whether the kernels are for this light."""
+    return ready(coefficients) and len(coefficients) <= CHANNELS and library() is not None
+
+
+def local_light(coefficients: Tensor, s: Resampling, m: int) -> Tensor:
+    """(f, M, c), as `ptt.ops.rotation.local_light`."""
+    kernels = library() if rotates(coefficients) else None
+    if kernels is None:
+        return rotation.local_light(coefficients, s, m)
+    frames = (len(s.starts) - 1) // m**2
+    source, out = _four(haar.synthesise(coefficients)), coefficients.new_empty(frames, m * m, CHANNELS)
+    tensors = map(address, (source, s.starts, s.reads, out))
+    numbers = c_int64(frames), c_int64(m), c_float(1 / s.samples**2), c_int(torch.get_num_threads())
+    kernels.ptt_local_light(*tensors, *numbers)
+    return out[..., : len(coefficients)]
+
+
+def resampled_light(coefficients: Tensor, frames: Tensor, target: Grid, samples: int = rotation.SAMPLES) -> Tensor:
+    """(f, M, c), as `ptt.ops.rotation.resampled_light`."""
+    kernels = library() if rotates(coefficients) and ready(frames) else None
+    if kernels is None:
+        return rotation.resampled_light(coefficients, frames, target, samples)
+    m, frames = target.shape[-1], frames.contiguous()
+    directions = _directions(target, samples)
+    source, out = _four(haar.synthesise(coefficients)), coefficients.new_empty(len(frames), m * m, CHANNELS)
+    tensors = map(address, (source, frames, directions, out))
+    sizes = (len(frames), m, samples**2, directions.shape[1], coefficients.shape[-1])
+    kernels.ptt_resampled_light(*tensors, *map(c_int64, sizes), c_int(torch.get_num_threads()))
+    return out[..., : len(coefficients)]
+
+
+def rotated_light(coefficients: Tensor, matrix: Quantised, m: int) -> Tensor:
+    """(f, M, c), as `ptt.ops.rotation.rotated_light` of the matrix's `to_csr`."""
+    kernels = library() if rotates(coefficients) else None
+    if kernels is None:
+        csr = matrix.to_csr(coefficients[0].numel(), coefficients.dtype)
+        return rotation.rotated_light(coefficients, csr, m)
+    rows = len(matrix.starts) - 1
+    source, out = _four(coefficients), coefficients.new_empty(rows // m**2, m * m, CHANNELS)
+    tensors = map(address, (source, matrix.starts, matrix.columns, matrix.numbers, out))
+    wide = c_int(matrix.columns.dtype == torch.int32)
+    kernels.ptt_rotated_light(*tensors, c_int64(rows), c_float(matrix.unit), wide, c_int(torch.get_num_threads()))
+    return out[..., : len(coefficients)]
+
+
+def reflected(light: Tensor, cut: Slices, first: Tensor, at: Located, eye: Tensor) -> Tensor:
+    """B (v, c), as `ptt.ops.slices.reflected`; light is read in place where it has four channels."""
+    kernels = library() if _fits(light, cut, first, at, eye) else None
+    if kernels is None:
+        return slices.reflected(light, cut, first, at, eye)
+    v, channels = at.position.shape[1], light.shape[2]
+    light = pad(light, (0, CHANNELS - channels)).contiguous()
+    tensors = {"light": light, "eye": eye.contiguous(), "first": first, "out": light.new_empty(v, CHANNELS)}
+    tensors |= {name: getattr(at, name) for name in ("position", "normal", "leaned", "weights", "near")}
+    tensors |= {"terms": cut.terms, "values": cut.values}
+    numbers = {"points": v, "width": light.shape[1], "kept": cut.terms.shape[1]}
+    numbers |= {"distant": eye.ndim == 2, "views": cut.views, "threads": torch.get_num_threads()}
+    pointers = {name: tensor.data_ptr() for name, tensor in tensors.items()}
+    kernels.ptt_reflected(ctypes.byref(_Reflect(**pointers, **numbers)))
+    return tensors["out"][:, :channels]
+
+
+def _fits(light: Tensor, cut: Slices, first: Tensor, at: Located, eye: Tensor) -> bool:
+    """Whether the kernel is for these arguments."""
+    v, t = at.position.shape[1], cut.terms.shape[1]
+    kept = at.position, at.normal, at.weights, at.leaned
+    shapes = light.ndim == 3 and light.shape[2] <= CHANNELS and v % ALIGNED == 0 and t % ALIGNED == 0
+    shapes = shapes and eye.shape in ((3,), (3, v)) and first.shape == (v, 4)
+    contiguous = all(x.is_contiguous() for x in (*kept, at.near, cut.terms, cut.values, first))
+    types = ready(at.near, first, types=(torch.int32,)) and ready(cut.terms, types=(torch.int16,))
+    return shapes and contiguous and types and ready(light, eye, *kept) and ready(cut.values, types=(torch.float16,))
+
+
+def _four(maps: Tensor) -> Tensor:
+    """Maps (c, n, n) as (n * n, 4), zeros beyond c."""
+    return pad(maps.flatten(1), (0, 0, 0, CHANNELS - len(maps))).T.contiguous()
+
+
+@cache
+def _directions(target: Grid, samples: int) -> Tensor:
+    """(3, padded): of the samples of every cell, in whole vectors."""
+    directions = rotation.samples_of(target, samples).float()
+    return pad(directions.T, (0, -len(directions) % ALIGNED), value=1.0).contiguous()
