@@ -19,7 +19,7 @@ from ptt.models.light_maps import LightMaps
 from ptt.models.light_rotation import LightRotation
 from ptt.models.viewing import View, toward
 from ptt.ops import haar, native, relight, slices
-from ptt.ops.octahedral import Octahedral
+from ptt.ops.octahedral import Octahedral, mix
 from ptt.ops.slices import ALIGNED, Located, Slices
 from ptt.scene import Scene
 from ptt.shapes import Shape, carries_gradient, frozen
@@ -198,11 +198,11 @@ class EnvMapRelighter(nn.Module):
         if self.keep is not None:
             light = haar.truncate(light.flatten(1), self.keep).to_dense(n * n).reshape(light.shape)
         local = self.rotation(nn.functional.pad(light, (0, 0, 0, 0, 0, CHANNELS - len(light))))
-        return Lit(local, torch.einsum("m,fmc->fc", self.cosine, local))
+        return Lit(local, self.cosine @ local)
 
     def _sent(self, lit: Lit, part: Placed, material: Material) -> Sent:
         at = part.at
-        irradiance = torch.einsum("vk,vkc->vc", at.weights, lit.irradiance[at.near.long(), :3])
+        irradiance = mix(lit.irradiance, at.near.T.long(), at.weights.T)[:, :3]
         diffuse = material.diffuse.to(irradiance) / math.pi * part.colour * part.occlusion * irradiance
         cut = None if material.shape is None else self._slices(material.shape)
         light = lit.local if cut is None else slices.project(lit.local, cut)
@@ -215,7 +215,9 @@ class EnvMapRelighter(nn.Module):
             return sent.diffuse
         first: Tensor = part.first((at.twist, cut.terms), lambda: slices.first_slice(cut, at.twist))
         eye = eye if eye.ndim == 1 else eye[part.rows].T
-        reflected = (native if self.rotation.compiled else slices).reflected(sent.light, cut, first, at, eye)
+        reflected = (native if self.rotation.compiled else slices).reflected(
+            sent.light, cut, first, self.rotation.frames, at, eye
+        )
         return torch.addcmul(sent.diffuse, sent.specular, reflected[:, :3])
 
     def _slices(self, shape: Shape) -> Slices:

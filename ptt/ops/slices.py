@@ -1,12 +1,12 @@
 """BRDF slices: for every direction of view, a BRDF times the cosine in Haar coefficients (Wang et al. 2006, section 3).
 
     F[o, j] = integral over cell j of  f(wi, wo) max(wi . n, 0) dwi          in Haar coefficients over j
-    B[v]    = sum over the four nearest normals k of  w[v, k]  sum over j of  F[o(v, k), j] L[k, j]
+    B[v]    = sum over the four nearest normals k of  w[k, v]  sum over j of  F[o(v, k), j] L[k, j]
 
-wo is sampled on `HemiOctahedral(views)` and not interpolated; L is local light (`ops.rotation`). Each of the four
-normals has a frame of its own, and the view direction is looked up in each: in that frame leaned over, by the smallest
-rotation, until its normal is the point's (`located`). So it does not matter how fast frames turn from one normal to the
-next, which they do somewhere on every sphere; the paper looks up once, in the frame of the point.
+L is local light (`ops.rotation`), wo is sampled on `HemiOctahedral(views)` and not interpolated. o(v, k) is the
+direction that normal k mirrors to where point v mirrors the viewer: so all four slices have their highlights in one
+place of the world. (The paper looks up one slice, in the point's own frame, and sees four highlights as far apart as
+the sampled normals; and since no frames are smooth all over the sphere, seams.)
 
 An anisotropic BRDF is sampled at so many twists: turns of the tangent about the normal against that frame's.
 """
@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from ptt.ops import haar
-from ptt.ops.octahedral import HemiOctahedral, Octahedral, corners, hemi_octahedral, octahedral
+from ptt.ops.octahedral import HemiOctahedral, corners, hemi_octahedral, octahedral
 from ptt.ops.rotation import samples_of
 
 BRDF = Callable[[Tensor, Tensor], Tensor]  # f(wi, wo): (..., 3), (..., 3) -> (...) [1/sr]
@@ -66,49 +66,43 @@ class Located(NamedTuple):
     """Points among the sampled normals; v is a multiple of `ALIGNED`.
 
     position, normal (3, v)
-    near (v, 4) int32, weights (v, 4): the nearest sampled normals, bilinear
-    leaned (4, 2, 3, v): tangent and bitangent of their frames, leaned over until their normals are the point's
-    twist (v, 4): the angle from the frame's tangent to the point's [rad]
+    near (4, v) int32, weights (4, v): the nearest sampled normals, bilinear
+    twist (4, v): the angle from their frames' tangents to the point's, seen about the normal [rad]
     """
 
     position: Tensor
     normal: Tensor
     near: Tensor
     weights: Tensor
-    leaned: Tensor
     twist: Tensor
 
 
 def located(position: Tensor, frames: Tensor, sampled: Tensor) -> Located:
     """Points (v, 3) with frames (v, 3, 3) among those (n * n, 3, 3) of the normals `Octahedral(n).directions()`."""
     normal, tangent = frames[:, 2], frames[:, 0]
-    index, weights = corners(octahedral(normal), math.isqrt(len(sampled)), wrap=True)
-    around = sampled.to(frames)[index]  # shape: (v, 4, 3, 3)
-    leaned = _lean(around[:, :, :2], around[:, :, 2], normal[:, None].expand(-1, 4, -1))
-    x, y = torch.einsum("vjkx,vx->kvj", leaned, tangent)
+    near, weights = corners(octahedral(normal), math.isqrt(len(sampled)), wrap=True)
+    around = sampled.to(frames)[near]  # shape: (v, 4, 3, 3)
+    x, y, _ = torch.einsum("vkax,vkx->akv", around, _leaned(tangent[:, None], normal[:, None], around[:, :, 2]))
     return Located(
         position.T.contiguous(),
         normal.T.contiguous(),
-        index.int(),
-        weights,
-        leaned.permute(1, 2, 3, 0).contiguous(),
+        near.T.int().contiguous(),
+        weights.T.contiguous(),
         torch.atan2(y, x),
     )
 
 
-def _lean(rows: Tensor, start: Tensor, end: Tensor) -> Tensor:
-    """Rows (..., k, 3) turned by the smallest rotation that takes unit vectors start to end (..., 3)."""
+def _leaned(d: Tensor, start: Tensor, end: Tensor) -> Tensor:
+    """Directions d (..., 3) turned by the smallest rotation that takes unit vectors start to end (..., 3)."""
     middle = start + end
-    scale = 1 / (1 + (start * end).sum(-1)).clamp(min=1e-6)
-    along_middle = torch.einsum("...kx,...x->...k", rows, middle) * scale[..., None]
-    along_start = torch.einsum("...kx,...x->...k", rows, start)
-    return rows - along_middle[..., None] * middle[..., None, :] + 2 * along_start[..., None] * end[..., None, :]
+    along_middle = (d * middle).sum(-1, keepdim=True) / (1 + (start * end).sum(-1, keepdim=True)).clamp(min=1e-6)
+    return d - along_middle * middle + 2 * (d * start).sum(-1, keepdim=True) * end
 
 
 def tabulate(f: BRDF, m: int, views: int, terms: int, twists: int = 1, samples: int = 2) -> Slices:
     """The `terms` largest Haar coefficients of every slice of a BRDF on `HemiOctahedral(m)`.
 
-    twists: 1 for an isotropic BRDF
+    twists: 1 for an isotropic BRDF, of which an eighth is sampled: the rest are its mirror images
     samples: along the edge of a cell, of the midpoint rule
 
     Raises:
@@ -116,32 +110,30 @@ def tabulate(f: BRDF, m: int, views: int, terms: int, twists: int = 1, samples: 
     """
     if not 1 <= terms <= m * m:
         raise ValueError(f"terms must be in 1..{m * m}, the cells of a local map, got {terms}")
+    rows, columns = torch.meshgrid(torch.arange(views), torch.arange(views), indexing="ij")
+    eighth = (columns >= rows) & (rows >= views // 2) if twists == 1 else torch.ones_like(rows, dtype=torch.bool)
     kept = [
         haar.truncate(haar.analyse(block.reshape(-1, m, m)).flatten(1), terms)
-        for block in _dense(f, m, views, twists, samples)
+        for block in _dense(f, m, HemiOctahedral(views).directions()[eighth].float(), twists, samples)
     ]
     order, values = (torch.cat(parts) for parts in zip(*kept, strict=True))
-    padding = -terms % ALIGNED
-    order, values = (torch.nn.functional.pad(x, (0, padding)) for x in (order, values))
+    if twists == 1:
+        order, values = _mirrored(order, values, m, eighth)
+    order, values = (torch.nn.functional.pad(x, (0, -terms % ALIGNED)) for x in (order, values))
     return Slices(order.to(torch.int16), values.half(), views)
 
 
 def factorise(f: BRDF, m: int, views: int, rank: int, twists: int = 1, samples: int = 2) -> Slices:
     """As `tabulate`, but the best approximation of all slices together by `rank` products of two factors."""
-    dense = torch.cat([haar.analyse(b.reshape(-1, m, m)).flatten(1) for b in _dense(f, m, views, twists, samples)])
+    dense = tabulate(f, m, views, m * m, twists, samples).to_dense(m * m)
     if not 1 <= rank <= min(dense.shape):
         raise ValueError(f"rank must be in 1..{min(dense.shape)}, got {rank}")
-    gram = sum(block.double().T @ block.double() for block in dense.split(1 << 14))
-    _, vectors = torch.linalg.eigh(gram)
-    basis = vectors[:, -rank:].flip(1).T.float().contiguous()
-    terms = torch.arange(rank, dtype=torch.int16).expand(len(dense), -1)
+    gram = torch.stack([block.double().T @ block.double() for block in dense.split(1 << 14)]).sum(0)
+    basis = torch.linalg.eigh(gram).eigenvectors[:, -rank:].flip(1).T.float().contiguous()
     padding = -rank % ALIGNED
-    order, values, basis = (
-        torch.nn.functional.pad(terms, (0, padding)),
-        torch.nn.functional.pad(dense @ basis.T, (0, padding)),
-        torch.nn.functional.pad(basis, (0, 0, 0, padding)),
-    )
-    return Slices(order.contiguous(), values.half(), views, basis)
+    terms = torch.nn.functional.pad(torch.arange(rank, dtype=torch.int16).expand(len(dense), -1), (0, padding))
+    values = torch.nn.functional.pad(dense @ basis.T, (0, padding)).half()
+    return Slices(terms.contiguous(), values, views, torch.nn.functional.pad(basis, (0, 0, 0, padding)))
 
 
 def cosine(m: int) -> Tensor:
@@ -154,41 +146,36 @@ def project(light: Tensor, slices: Slices) -> Tensor:
     return light if slices.basis is None else slices.basis @ light
 
 
-def reflected(light: Tensor, slices: Slices, first: Tensor, at: Located, eye: Tensor) -> Tensor:
-    """B (v, c) of points, of local light (f, x, c) as `project` gives it.
+def reflected(light: Tensor, slices: Slices, first: Tensor, frames: Tensor, at: Located, eye: Tensor) -> Tensor:
+    """B (v, c) of points, of local light (f, x, c) as `project` gives it, in frames (f, 3, 3).
 
-    first (v, 4) int32: the first slice of each point's twist (`first_slice`)
+    first (4, v) int32: the first slice of each point's twist (`first_slice`)
     eye (3,), or directions (3, v) from the points to the viewer; from behind, points look as from the mirrored side
     """
-    which = first + _view_cell(slices.views, at, eye)
+    which = first + _view_cell(slices.views, frames, at, eye)
     parts, step = [], max(1, _VALUES // (slices.terms.shape[1] * 16))
-    for some, index, weights in zip(which.split(step), at.near.split(step), at.weights.split(step), strict=True):
+    for some, near, weights in zip(*(x.split(step, 1) for x in (which, at.near, at.weights)), strict=True):
         values = slices.values[some].to(light) * weights[..., None].to(light)
-        picked = light[index[..., None].long(), slices.terms[some].long()]  # shape: (v, 4, t, c)
-        parts.append(torch.einsum("vjt,vjtc->vc", values, picked))
+        picked = light[near[..., None].long(), slices.terms[some].long()]  # shape: (4, v, t, c)
+        parts.append(torch.einsum("kvt,kvtc->vc", values, picked))
     return torch.cat(parts)
 
 
-def _view_cell(views: int, at: Located, eye: Tensor) -> Tensor:
-    """Cells (v, 4) of the directions to the viewer, in the frame of each of a point's normals."""
+def _view_cell(views: int, frames: Tensor, at: Located, eye: Tensor) -> Tensor:
+    """Cells (4, v) of the directions that each normal mirrors to where the point mirrors the viewer."""
     toward = eye if eye.ndim == 2 else eye[:, None] - at.position
     toward = toward / toward.norm(dim=0).clamp(min=TINY)
-    x, y = torch.einsum("jkxv,xv->kvj", at.leaned, toward)
-    z = (at.normal * toward).sum(0).abs()[:, None].expand_as(x)
-    ab = hemi_octahedral(torch.stack((x, y, z), -1))
+    mirrored = 2 * (at.normal * toward).sum(0).clamp(min=0) * at.normal - toward
+    x, y, z = torch.einsum("kvax,xv->akv", frames[at.near.long()], mirrored)
+    ab = hemi_octahedral(torch.stack((-x, -y, z.abs()), -1))
     column, row = (((ab + 1) * (views / 2)).long().clamp(0, views - 1)).unbind(-1)
     return row * views + column
 
 
 def first_slice(slices: Slices, twist: Tensor) -> Tensor:
-    """The first slice (v, 4) int32 of the nearest twist (v, 4) [rad]."""
+    """The first slice (4, v) int32 of the nearest twist (4, v) [rad]."""
     turn = (twist * (slices.twists / (2 * math.pi))).round().long() % slices.twists
     return (turn * slices.views**2).int()
-
-
-def normals_of(n: int) -> Tensor:
-    """(n * n, 3) float64."""
-    return Octahedral(n).directions().reshape(-1, 3)
 
 
 def _projected(m: int, samples: int) -> Tensor:
@@ -198,10 +185,9 @@ def _projected(m: int, samples: int) -> Tensor:
     return weight.reshape(m, samples, m, samples).transpose(1, 2).flatten()
 
 
-def _dense(f: BRDF, m: int, views: int, twists: int, samples: int) -> Iterator[Tensor]:
-    """Slices (b, M) in texels, in blocks, float32."""
+def _dense(f: BRDF, m: int, wo: Tensor, twists: int, samples: int) -> Iterator[Tensor]:
+    """Slices (b, M) in texels for directions of view (v, 3), in blocks, float32."""
     wi, weight = samples_of(HemiOctahedral(m), samples).float(), _projected(m, samples).float()
-    wo = HemiOctahedral(views).directions().reshape(-1, 3).float()
     for k in range(twists):
         c, s = math.cos(2 * math.pi * k / twists), math.sin(2 * math.pi * k / twists)
         turned = torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # into the frame of the tangent
@@ -210,3 +196,41 @@ def _dense(f: BRDF, m: int, views: int, twists: int, samples: int) -> Iterator[T
             if not bool(values.isfinite().all()):
                 raise ValueError("the BRDF must be finite")
             yield values.reshape(len(some), m * m, -1).sum(2)
+
+
+def _mirrored(order: Tensor, values: Tensor, m: int, eighth: Tensor) -> tuple[Tensor, Tensor]:
+    """Positions and values (views^2, t) of all slices from those of an eighth (views, views) of the view directions.
+
+    Mirroring view and light alike changes no isotropic BRDF: it turns the square of a slice over, which permutes its
+    coefficients and changes signs.
+    """
+    views = len(eighth)
+    number = torch.full(eighth.shape, -1)
+    number[eighth] = torch.arange(len(order))
+    rows, columns = torch.meshgrid(torch.arange(views), torch.arange(views), indexing="ij")
+    up, left = rows < views // 2, columns < views // 2
+    row, column = torch.where(up, views - 1 - rows, rows), torch.where(left, views - 1 - columns, columns)
+    swapped = row > column
+    source = number[torch.minimum(row, column), torch.maximum(row, column)].flatten()
+    order, values = order[source].long(), values[source]
+    flipped, sign = _flip(m)
+    over = order % m * m + order // m  # rows and columns swapped
+    order = torch.where(swapped.flatten()[:, None], over, order)
+    values = torch.where(left.flatten()[:, None], values * sign[order], values)
+    order = torch.where(left.flatten()[:, None], flipped[order], order)
+    over = order % m * m + order // m
+    values = torch.where(up.flatten()[:, None], values * sign[over], values)
+    down = flipped[over]
+    return torch.where(up.flatten()[:, None], down % m * m + down // m, order), values
+
+
+def _flip(m: int) -> tuple[Tensor, Tensor]:
+    """What turning a map (m, m) over, left to right, does to its coefficients: new positions (M,), signs (M,)."""
+    at = torch.arange(m)
+    row, column = (x.flatten() for x in torch.meshgrid(at, at, indexing="ij"))
+    level = torch.maximum(row, column)
+    half = torch.where(level > 0, 1 << level.clamp(min=1).log2().floor().long(), 0)
+    detail = (column >= half) & (half > 0)
+    first = torch.where(detail, half, 0)
+    new = torch.where(half > 0, first + half - 1 - (column - first), column)
+    return row * m + new, torch.where(detail, -1.0, 1.0)

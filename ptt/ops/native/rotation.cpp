@@ -113,10 +113,10 @@ extern "C" void ptt_rotated_light(const float *coefficients, const int64_t *star
 
 constexpr int CORNERS = 4;  // normals around a point
 
-// As rotation.py lays it out: position (3, v), normal (3, v), leaned (4, 2, 3, v), near and weights (v, 4),
-// first (v, 4) slice of the twist, light (f, x) Fours, slices (s, t), out (v) Fours.
+// As rotation.py lays it out: position, normal (3, v), frames (f, 3, 3), near, first and weights (4, v), light (f, x)
+// Fours, slices (s, t), out (v) Fours.
 struct Reflect {
-    const float *position, *normal, *leaned, *eye, *weights, *light;
+    const float *position, *normal, *frames, *eye, *weights, *light;
     const int32_t *near, *first;
     const int16_t *terms;
     const Half *values;
@@ -129,32 +129,34 @@ extern "C" void ptt_reflected(const Reflect *g) {
     const int64_t v = g->points;
     in_parallel(v / LANES, g->threads, [=](int64_t block) {
         const int64_t at = block * LANES;
-        Lanes toward[3], length = {};
+        Lanes mirrored[3], length = {}, up = {};
         for (int c = 0; c < 3; ++c) {
-            toward[c] = g->distant ? load(g->eye + c * v + at) : g->eye[c] - load(g->position + c * v + at);
-            length += toward[c] * toward[c];
+            mirrored[c] = g->distant ? load(g->eye + c * v + at) : g->eye[c] - load(g->position + c * v + at);
+            length += mirrored[c] * mirrored[c];
+            up += mirrored[c] * load(g->normal + c * v + at);
         }
         const Lanes scale = 1.0f / root(most(length, all(TINY)));
-        Lanes z = {};
-        for (int c = 0; c < 3; ++c) z += (toward[c] *= scale) * load(g->normal + c * v + at);
-        z = size(z);
+        up = 2.0f * most(up, Lanes{});
+        for (int c = 0; c < 3; ++c) mirrored[c] = (up * load(g->normal + c * v + at) - mirrored[c]) * scale;
         const float half = 0.5f * g->views;
         int32_t slice[CORNERS][LANES];
-        for (int j = 0; j < CORNERS; ++j) {
-            Lanes x = {}, y = {};
-            const float *rows = g->leaned + 6 * j * v + at;
-            for (int c = 0; c < 3; ++c) x += toward[c] * load(rows + c * v), y += toward[c] * load(rows + (3 + c) * v);
-            const Lanes to_face = 1.0f / most(size(x) + size(y) + z, all(TINY));
-            const Ints column = clamp(whole(((x + y) * to_face + 1.0f) * half), g->views - 1);
-            const Ints row = clamp(whole(((x - y) * to_face + 1.0f) * half), g->views - 1);
-            const Ints cell = row * g->views + column;
-            std::memcpy(slice[j], &cell, sizeof cell);
+        for (int k = 0; k < CORNERS; ++k) {
+            Ints near, first;
+            std::memcpy(&near, g->near + k * v + at, sizeof near);
+            std::memcpy(&first, g->first + k * v + at, sizeof first);
+            Lanes d[3] = {};
+            for (int a = 0; a < 3; ++a)
+                for (int c = 0; c < 3; ++c) d[a] += mirrored[c] * gather(g->frames + 3 * a + c, near * 9);
+            const Lanes to_face = 1.0f / most(size(d[0]) + size(d[1]) + size(d[2]), all(TINY));
+            const Ints column = clamp(whole((1.0f - (d[0] + d[1]) * to_face) * half), g->views - 1);
+            const Ints row = clamp(whole((1.0f - (d[0] - d[1]) * to_face) * half), g->views - 1);
+            const Ints cell = first + row * g->views + column;
+            std::memcpy(slice[k], &cell, sizeof cell);
         }
         for (int64_t l = 0; l < LANES; ++l) {
             Four total = {};
-            for (int j = 0; j < CORNERS; ++j) {
-                const int64_t corner = (at + l) * CORNERS + j;
-                const int64_t s = (g->first[corner] + slice[j][l]) * g->kept;
+            for (int k = 0; k < CORNERS; ++k) {
+                const int64_t corner = k * v + at + l, s = slice[k][l] * g->kept;
                 const float *light = g->light + g->near[corner] * g->width * 4;
                 Four sum[4] = {};
                 for (int64_t t = 0; t < g->kept; t += LANES) {

@@ -21,7 +21,7 @@ from ptt.ops.slices import ALIGNED, Located, Slices
 from ptt.ops.sphere import Grid
 
 CHANNELS = 4  # of a value in the kernels
-POINTERS = ("position", "normal", "leaned", "eye", "weights", "light", "near", "first", "terms", "values", "out")
+POINTERS = ("position", "normal", "frames", "eye", "weights", "light", "near", "first", "terms", "values", "out")
 LONGS = ("points", "width", "kept")
 INTS = ("distant", "views", "threads")
 
@@ -80,16 +80,16 @@ def rotated_light(coefficients: Tensor, matrix: Quantised, m: int) -> Tensor:
     return out[..., : len(coefficients)]
 
 
-def reflected(light: Tensor, cut: Slices, first: Tensor, at: Located, eye: Tensor) -> Tensor:
+def reflected(light: Tensor, cut: Slices, first: Tensor, frames: Tensor, at: Located, eye: Tensor) -> Tensor:
     """B (v, c), as `ptt.ops.slices.reflected`; light is read in place where it has four channels."""
-    kernels = library() if _fits(light, cut, first, at, eye) else None
+    kernels = library() if _fits(light, cut, first, frames, at, eye) else None
     if kernels is None:
-        return slices.reflected(light, cut, first, at, eye)
+        return slices.reflected(light, cut, first, frames, at, eye)
     v, channels = at.position.shape[1], light.shape[2]
     light = pad(light, (0, CHANNELS - channels)).contiguous()
     tensors = {"light": light, "eye": eye.contiguous(), "first": first, "out": light.new_empty(v, CHANNELS)}
-    tensors |= {name: getattr(at, name) for name in ("position", "normal", "leaned", "weights", "near")}
-    tensors |= {"terms": cut.terms, "values": cut.values}
+    tensors |= {name: getattr(at, name) for name in ("position", "normal", "weights", "near")}
+    tensors |= {"frames": frames.contiguous(), "terms": cut.terms, "values": cut.values}
     numbers = {"points": v, "width": light.shape[1], "kept": cut.terms.shape[1]}
     numbers |= {"distant": eye.ndim == 2, "views": cut.views, "threads": torch.get_num_threads()}
     pointers = {name: tensor.data_ptr() for name, tensor in tensors.items()}
@@ -97,15 +97,21 @@ def reflected(light: Tensor, cut: Slices, first: Tensor, at: Located, eye: Tenso
     return tensors["out"][:, :channels]
 
 
-def _fits(light: Tensor, cut: Slices, first: Tensor, at: Located, eye: Tensor) -> bool:
+def _fits(light: Tensor, cut: Slices, first: Tensor, frames: Tensor, at: Located, eye: Tensor) -> bool:
     """Whether the kernel is for these arguments."""
     v, t = at.position.shape[1], cut.terms.shape[1]
-    kept = at.position, at.normal, at.weights, at.leaned
+    kept = at.position, at.normal, at.weights
     shapes = light.ndim == 3 and light.shape[2] <= CHANNELS and v % ALIGNED == 0 and t % ALIGNED == 0
-    shapes = shapes and eye.shape in ((3,), (3, v)) and first.shape == (v, 4)
+    shapes = shapes and eye.shape in ((3,), (3, v)) and first.shape == (4, v) and frames.shape == (len(light), 3, 3)
     contiguous = all(x.is_contiguous() for x in (*kept, at.near, cut.terms, cut.values, first))
     types = ready(at.near, first, types=(torch.int32,)) and ready(cut.terms, types=(torch.int16,))
-    return shapes and contiguous and types and ready(light, eye, *kept) and ready(cut.values, types=(torch.float16,))
+    return (
+        shapes
+        and contiguous
+        and types
+        and ready(light, eye, frames, *kept)
+        and ready(cut.values, types=(torch.float16,))
+    )
 
 
 def _four(maps: Tensor) -> Tensor:
