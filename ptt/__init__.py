@@ -12,14 +12,18 @@ from ptt.assembly import assemble
 from ptt.clustering import Clusters, cluster
 from ptt.compress import compress
 from ptt.environment import Environment
+from ptt.gbuffer import GBuffer
 from ptt.hidden import without_hidden
 from ptt.materials import Material, blinn_phong, cook_torrance, ggx, lambert, ward
 from ptt.measured import MERL, NeuralBRDF
 from ptt.metrics import relative_rmse
 from ptt.models.brdf_basis import BRDFBasis
+from ptt.models.envmap_relighter import EnvMapRelighter
+from ptt.models.light_rotation import LightRotation
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.models.transfer_model import TransferModel
 from ptt.models.transfer_relighter import TransferRelighter
+from ptt.occlusion import ambient_occlusion
 from ptt.precompute import RawTransfer, precompute
 from ptt.render import Image, render
 from ptt.scene import Camera, Region, Scene
@@ -37,8 +41,11 @@ __all__ = [
     "Camera",
     "Clusters",
     "CookTorrance",
+    "EnvMapRelighter",
     "Environment",
+    "GBuffer",
     "Image",
+    "LightRotation",
     "Material",
     "Named",
     "NeuralBRDF",
@@ -49,6 +56,7 @@ __all__ = [
     "TransferModel",
     "TransferRelighter",
     "Ward",
+    "ambient_occlusion",
     "assemble",
     "blinn_phong",
     "cluster",

@@ -29,10 +29,21 @@ from torch import Tensor
 
 from ptt.environment import Environment
 from ptt.materials import Material
+from ptt.meshes import Part
 from ptt.path_tracer import Estimate, Paths, Vertices, to_local
 from ptt.scene import Camera, Scene
 
-__all__ = ["Estimate", "Points", "Settings", "along_rays", "at_vertices", "image", "radiance", "vertex_points"]
+__all__ = [
+    "Estimate",
+    "Points",
+    "Settings",
+    "along_rays",
+    "at_vertices",
+    "image",
+    "radiance",
+    "unshadowed",
+    "vertex_points",
+]
 
 
 class Points(NamedTuple):
@@ -101,6 +112,21 @@ def at_vertices(
     """Radiance (v, 3) that leaves every vertex of the scene towards the camera, seen by it or not; as `radiance`."""
     wo = camera.toward(scene.points)
     return radiance(scene, environment, materials, vertex_points(scene), wo, **settings)
+
+
+def unshadowed(
+    scene: Scene,
+    environment: Environment,
+    materials: Mapping[str, Material],
+    points: Points,
+    wo: Tensor,
+    **settings: Unpack[Settings],
+) -> Estimate:
+    """As `radiance`, of points that nothing hides the light from: what `EnvMapRelighter` is to show."""
+    centre, radius = scene.bounds
+    speck = centre + radius * (1e-3 * torch.eye(3) + torch.tensor([0.0, -1e4, 0.0]))
+    parts = [Part(region.name, speck, torch.tensor([[0, 1, 2]])) for region in scene.regions]
+    return radiance(Scene.from_parts(parts), environment, materials, points, wo, **settings)
 
 
 @torch.no_grad()

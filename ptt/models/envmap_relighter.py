@@ -24,6 +24,7 @@ from ptt.ops.slices import ALIGNED, Located, Slices
 from ptt.scene import Scene
 from ptt.shapes import Shape, carries_gradient, frozen
 
+TERMS = 96
 REMEMBERED = 8  # shapes whose slices are kept
 CHANNELS = 4  # of local light: colours and a zero, which aligns them
 
@@ -56,7 +57,7 @@ class Sent(NamedTuple):
 class Placed(nn.Module):
     """The points of one region, sorted by the normal that is nearest, so that the local light stays in the cache.
 
-    rows (v,): which they are; the last one again, until v is a multiple of `ALIGNED`
+    rows (v,): which they are; beyond the count of points the last one again, until v is a multiple of `ALIGNED`
     colour (v, 3), occlusion (v, 1): of the surface
     """
 
@@ -64,8 +65,9 @@ class Placed(nn.Module):
     colour: Tensor
     occlusion: Tensor
 
-    def __init__(self, rows: Tensor, at: Located, colour: Tensor, occlusion: Tensor) -> None:
+    def __init__(self, count: int, rows: Tensor, at: Located, colour: Tensor, occlusion: Tensor) -> None:
         super().__init__()
+        self.count = count
         for name, tensor in {"rows": rows, "colour": colour, "occlusion": occlusion, **at._asdict()}.items():
             self.register_buffer(name, tensor, persistent=False)
         self.first = Cache()
@@ -74,10 +76,10 @@ class Placed(nn.Module):
     def of(cls, rows: Tensor, surface: Surface, sampled: Tensor) -> Placed:
         """Those rows of a surface among sampled frames (f, 3, 3)."""
         nearest = Octahedral(math.isqrt(len(sampled))).cell(surface.frames[rows, 2])
-        rows = rows[nearest.argsort(stable=True)]
+        rows, count = rows[nearest.argsort(stable=True)], len(rows)
         rows = torch.cat((rows, rows[-1:].expand(-len(rows) % ALIGNED)))
         positions, frames, colour, occlusion = (x[rows] for x in surface)
-        return cls(rows, slices.located(positions, frames, sampled), colour, occlusion[:, None])
+        return cls(count, rows, slices.located(positions, frames, sampled), colour, occlusion[:, None])
 
     @property
     def at(self) -> Located:
@@ -90,7 +92,8 @@ class EnvMapRelighter(nn.Module):
 
     scene: whose vertices are relit; per pixel, give a `GBuffer` as the view
     rotation: of light into local frames, for normals; None for `LightRotation.build()`
-    terms: coefficients that are kept of every slice of a BRDF; or rank: products that approximate all slices together
+    terms: coefficients that are kept of every slice of a BRDF, None for `TERMS` of them
+    rank: in their place, products that approximate all slices together: good for dull shapes, and fast
     views: along the edge of the grid of view directions, for which there are slices
     twists: of a tangent against the sampled frames, for anisotropic shapes
     keep: coefficients of the light that are kept, of each channel; None for all
@@ -116,7 +119,7 @@ class EnvMapRelighter(nn.Module):
         scene: Scene,
         rotation: LightRotation | None = None,
         *,
-        terms: int = 96,
+        terms: int | None = None,
         rank: int | None = None,
         views: int = 128,
         twists: int = 32,
@@ -125,6 +128,7 @@ class EnvMapRelighter(nn.Module):
     ) -> None:
         super().__init__()
         rotation = LightRotation.build() if rotation is None else rotation
+        terms = min(TERMS, rotation.m**2) if terms is None else terms
         _check(scene, rotation, terms, rank, views, twists, keep, occlusion)
         self.scene, self.rotation = scene, rotation
         self.terms, self.rank, self.views, self.twists, self.keep = terms, rank, views, twists, keep
@@ -158,7 +162,7 @@ class EnvMapRelighter(nn.Module):
             eye = toward(view, self.scene.points.to(self.cosine))
         out = self.cosine.new_zeros(points, 3)
         for part, sent in zip(placed, self.exitant(environment, own, placed), strict=True):
-            out = out.index_copy(0, part.rows, self._radiance(part, sent, eye))
+            out = out.index_copy(0, part.rows[: part.count], self._radiance(part, sent, eye)[: part.count])
         return out
 
     @property
