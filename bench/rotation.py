@@ -71,9 +71,7 @@ class Body:
     noise: dict[str, float]
 
     @classmethod
-    def of(
-        cls, name: str, scene: ptt.Scene, light: ptt.Environment, names: Sequence[str], count: int, samples: int
-    ) -> Body:
+    def of(cls, name: str, scene: ptt.Scene, light: ptt.Environment, count: int, samples: int) -> Body:
         assert scene.camera is not None
         seen = torch.nonzero((scene.camera.toward(scene.points) * scene.normals).sum(1) > 0.05)[:, 0]
         index = seen[torch.randperm(len(seen), generator=torch.Generator().manual_seed(0))[:count]]
@@ -199,11 +197,11 @@ def table_1(table: Table, bodies: Sequence[Body], light: ptt.Environment, n: int
             for material in GLOSSY:
                 noted = f"{how}; {GLOSSY[material]}, noise of the reference {body.noise[material]:.4f}"
                 value = body.error(relighter, light, material)
-                table.row(f"{what}, {body.name}, {material}", value, "relative RMSE", noted, paper=error)
+                table.row(f"{what}, {body.name} {material}", value, "relative RMSE", noted, paper=error)
 
 
 def table_3(table: Table, bodies: Sequence[Body], light: ptt.Environment, n: int, sampled: Sequence[int]) -> None:
-    """Sampling of the normals; beside the paper's single lookup in the frame of the point."""
+    """Sampling of the normals; beside the paper's lookup in the frame of the point."""
     for normals in sampled:
         error, seconds, megabytes = NORMALS[normals]
         start = time.perf_counter()
@@ -219,27 +217,31 @@ def table_3(table: Table, bodies: Sequence[Body], light: ptt.Environment, n: int
             for material in GLOSSY:
                 noted = f"{how}; {GLOSSY[material]}, noise of the reference {body.noise[material]:.4f}"
                 value = body.error(relighter, light, material)
-                table.row(f"{what}, {body.name}, {material}", value, "relative RMSE", noted, paper=error)
-                once = single_lookup(relighter, body, light, material)
+                table.row(f"{what}, {body.name} {material}", value, "relative RMSE", noted, paper=error)
+                once = same_direction(relighter, body, light, material)
                 once = ptt.relative_rmse(once, body.truth[material])
                 table.row(
                     f"{what}, {body.name}, {material}, one lookup", once, "relative RMSE", f"the paper's; {noted}"
                 )
 
 
-def single_lookup(relighter: ptt.EnvMapRelighter, body: Body, light: ptt.Environment, material: str) -> Tensor:
-    """Radiance (v, 3) as the paper has it: one slice, in the frame of the point's own normal, for all four normals."""
+def same_direction(relighter: ptt.EnvMapRelighter, body: Body, light: ptt.Environment, material: str) -> Tensor:
+    """Radiance (v, 3) as the paper has it: the viewer's direction in the point's own frame, for all four normals.
+
+    The frame is leaned over to each normal, so that there are no seams where frames jump.
+    """
     given, camera, at = ptt.fitted(material), body.scene.camera, body.index
     assert camera is not None and given.shape is not None
     dull = relighter(light, {name: ptt.Material(given.diffuse) for name in body.scene.materials}, camera)[at]
-    own, normals = rotation.frames_of(body.scene.normals[at]), relighter.rotation.frames
-    where = slices.located(body.scene.points[at], own, normals)
+    normal, frames = body.scene.normals[at], relighter.rotation.frames
+    where = slices.located(body.scene.points[at], body.scene.frames[at], frames)
     cut = slices.tabulate(given.shape.evaluate, relighter.rotation.m, relighter.views, relighter.terms)
-    local = torch.einsum("vax,vx->va", own, camera.toward(body.scene.points[at]))
-    cell = HemiOctahedral(relighter.views).cell(local)
-    mixed = (relighter.incident(light).local[where.near.long(), :, :3] * where.weights[..., None, None]).sum(0)
-    picked = mixed.gather(1, cut.terms[cell].long()[..., None].expand(-1, -1, 3))
-    return dull + given.specular * (cut.values[cell].float()[..., None] * picked).sum(1)
+    around = frames[where.near.long()]  # shape: (4, v, 3, 3)
+    leaned = slices._leaned(camera.toward(body.scene.points[at])[None], normal[None], around[:, :, 2])
+    cell = HemiOctahedral(relighter.views).cell(torch.einsum("kvax,kvx->kva", around, leaned))
+    values = cut.values[cell].float() * where.weights[..., None]
+    picked = relighter.incident(light).local[where.near.long()[..., None], cut.terms[cell].long()]
+    return dull + given.specular * torch.einsum("kvt,kvtc->vc", values, picked)[:, :3]
 
 
 def accuracy(table: Table, bodies: Sequence[Body], light: ptt.Environment, sizes: Sequence[int]) -> None:
@@ -249,17 +251,17 @@ def accuracy(table: Table, bodies: Sequence[Body], light: ptt.Environment, sizes
             for n in sizes:
                 relighter = ptt.EnvMapRelighter(body.scene, ptt.LightRotation.build(n, 32))
                 value = body.error(relighter, light, material)
-                table.row(f"N {n}^2, {body.name}, {material}", value, "relative RMSE", "32 x 32 normals, factored")
+                table.row(f"accuracy, N {n}^2, {body.name} {material}", value, "relative RMSE", "32 x 32 normals")
     body, n = bodies[0], sizes[-2]
     for samples in (1, 2, 4, 8):
         relighter = ptt.EnvMapRelighter(body.scene, ptt.LightRotation.build(n, 32, samples=samples))
         value = body.error(relighter, light, "nickel")
-        table.row(f"samples {samples} x {samples}, {body.name}, nickel", value, "relative RMSE", f"N {n}^2")
+        table.row(f"accuracy, {samples} x {samples} samples, {body.name} nickel", value, "relative RMSE", f"N {n}^2")
     for keep in (64, 128, 256, 512, 1024):
         relighter = ptt.EnvMapRelighter(body.scene, ptt.LightRotation.build(n, 32), keep=keep if keep < n * n else None)
         for material in GLOSSY:
             value = body.error(relighter, light, material)
-            table.row(f"light of {keep} coefficients, {body.name}, {material}", value, "relative RMSE", f"of {n}^2")
+            table.row(f"accuracy, light of {keep} terms, {body.name} {material}", value, "relative RMSE", f"of {n}^2")
 
 
 def figure_7(table: Table, lights: dict[str, ptt.Environment], n: int) -> None:

@@ -45,7 +45,6 @@ def compare(table: Table, body: Body, light: ptt.Environment, n: int, normals: i
     same = csr_matrix(tuple(parts), shape=tuple(csr.shape))
     dense = vector.numpy()
     report("scipy.sparse, R", median_seconds(lambda: same @ dense, 3), "float32 CSR, one thread")
-    del csr, same
     plain = ptt.LightRotation.build(n, normals, compiled=False)
     report("torch, S and Haar", median_seconds(lambda: plain(lit), 3), "the plain functions of ops.rotation")
     s = Resampling(plain.starts, plain.reads, plain.samples).to_csr(n * n, torch.float32)
@@ -90,9 +89,8 @@ def band_limited_error(body: Body, light: ptt.Environment, material: str, order:
     assert camera is not None
     size = 256
     texels = sampled(light, size)
-    limited = np.stack(
-        [MakeGridDH(SHExpandDH(c, sampling=2, lmax_calc=order - 1), sampling=2, lmax=size // 2 - 1) for c in texels]
-    )
+    spectra = (SHExpandDH(c, sampling=2, lmax_calc=order - 1) for c in texels)
+    limited = np.stack([MakeGridDH(c, sampling=2, lmax=size // 2 - 1) for c in spectra])
     grid = HemiOctahedral(96)
     wi, weight = (
         grid.directions().reshape(-1, 3).float(),

@@ -12,7 +12,7 @@ from bench.table import ROOT
 from ptt import reference
 
 IMAGES = ROOT / "docs" / "images"
-MATERIALS = ("yellow-plastic", "blue-metallic-paint", "nickel", "pink-fabric")
+MATERIALS = ("yellow-plastic", "blue-metallic-paint", "nickel", "pickled-oak-260")
 
 
 def maps(name: str, rows: list[list[Tensor]], size: int = 160) -> None:

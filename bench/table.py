@@ -2,7 +2,8 @@
 
 python -m bench.table        # redraw every table between `<!-- table: topic prefix -->` and `<!-- end -->`
 
-`<!-- matrix: topic prefix -->` lays out rows named "prefix, row, column" as a table of that shape.
+`<!-- matrix: topic prefix -->` lays out rows named "prefix, row, column" as a table of that shape; what a paper reports
+follows in brackets.
 """
 
 from __future__ import annotations
@@ -86,7 +87,12 @@ def _listed(rows: list[dict[str, str]]) -> list[str]:
 
 
 def _laid_out(rows: list[dict[str, str]], prefix: str) -> list[str]:
-    values = {tuple(row["what"].removeprefix(prefix + ", ").rsplit(", ", 1)): row["value"] for row in rows}
+    values = {
+        tuple(row["what"].removeprefix(prefix + ", ").rsplit(", ", 1)): f"{row['value']} ({row['paper']})"
+        if row["paper"]
+        else row["value"]
+        for row in rows
+    }
     down, across = (list(dict.fromkeys(names)) for names in zip(*values, strict=True))
     return _markdown(["", *across], [[name, *(values.get((name, c), "") for c in across)] for name in down])
 

@@ -59,7 +59,7 @@ def test_resampled_light(n: int, m: int, samples: int) -> None:
 @pytest.mark.parametrize("wide", [False, True])
 def test_rotated_light(n: int, m: int, wide: bool) -> None:
     s = rotation.resampling(Octahedral(n), HemiOctahedral(m), frames_for(6))
-    matrix = rotation.quantise(rotation.matrices(s, n, m), 1 / 32767, 1)
+    matrix = rotation.quantised(s, n, m, 1 / 32767, 1)
     csr = matrix.to_csr(n * n)
     if wide:
         matrix = matrix._replace(columns=matrix.columns.int())
@@ -68,6 +68,19 @@ def test_rotated_light(n: int, m: int, wide: bool) -> None:
     torch.testing.assert_close(
         native.rotated_light(light, matrix, m), rotation.rotated_light(light, csr, m), **tolerance
     )
+
+
+@pytest.mark.parametrize(("n", "m"), [(2, 1), (4, 2), (16, 8), (8, 16), (64, 32)])
+@pytest.mark.parametrize("threshold", [1, 300])
+def test_quantised(n: int, m: int, threshold: int) -> None:
+    """The same numbers, but where a half is rounded: R itself is exact in float64 up to the order of a sum."""
+    s = rotation.resampling(Octahedral(n), HemiOctahedral(m), frames_for(3))
+    unit = 1 / 32767
+    got = native.quantised(s, n, m, unit, threshold).to_csr(n * n, torch.float64).to_dense()
+    wanted = rotation.quantised(s, n, m, unit, threshold).to_csr(n * n, torch.float64).to_dense()
+    off = (got - wanted).abs()
+    assert float(off.max()) <= unit * threshold * 1.001
+    assert float((off > 0).float().mean()) < 1e-4
 
 
 def view(count: int, views: int = 8, twists: int = 1) -> tuple[Tensor, Slices, Tensor, Tensor, Located]:
@@ -105,7 +118,7 @@ def test_what_kernels_do_not_take_is_computed_plainly() -> None:
     light = light_for(4, 3)
     assert native.local_light(light.double(), s, 2).dtype == torch.float64
     assert native.local_light(torch.rand(5, 4, 4), s, 2).shape == (2, 4, 5)
-    matrix = rotation.quantise(rotation.matrices(s, 4, 2), 1 / 32767, 1)
+    matrix = rotation.quantised(s, 4, 2, 1 / 32767, 1)
     assert native.rotated_light(light.double(), matrix, 2).dtype == torch.float64
     light.requires_grad_()
     native.local_light(light, s, 2).sum().backward()

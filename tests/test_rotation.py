@@ -179,10 +179,10 @@ def test_wavelet_rotation_equals_rotation_in_space() -> None:
 def test_quantised_matrix() -> None:
     """Off by half a unit at most; a larger threshold leaves the larger numbers untouched."""
     s = rotation.resampling(Octahedral(16), HemiOctahedral(8), random_frames(2))
-    matrix = rotation.matrices(s, 16, 8)
-    fine = rotation.quantise(matrix, 1 / 32767, 1)
-    assert float((fine.to_csr(256, torch.float64).to_dense() - matrix.to_dense()).abs().max()) <= 0.5 / 32767 + 1e-12
-    coarse = rotation.quantise(matrix, 1 / 32767, 1000)
+    exact = rotation.matrices(s, 16, 8).to_dense()
+    fine = rotation.quantised(s, 16, 8, 1 / 32767, 1)
+    assert float((fine.to_csr(256, torch.float64).to_dense() - exact).abs().max()) <= 0.5 / 32767 + 1e-12
+    coarse = rotation.quantised(s, 16, 8, 1 / 32767, 1000)
     assert int(coarse.numbers.abs().min()) >= 1000 and len(coarse.numbers) < len(fine.numbers)
     kept = coarse.to_csr(256).to_dense()
     assert bool((kept[kept != 0] == fine.to_csr(256).to_dense()[kept != 0]).all())

@@ -114,7 +114,7 @@ class LightRotation(nn.Module):
             s = rotation.resampling(Octahedral(n), HemiOctahedral(m), frames, samples)
             tables = {"starts": s.starts, "reads": s.reads}
         if operator == "matrix":
-            tables = _matrices(s, n, m, threshold, progress)
+            tables = _matrices(s, n, m, threshold, compiled, progress)
         return cls(n, m, operator, samples, frames.float(), tables, None if given else normals, compiled)
 
     @property
@@ -174,23 +174,16 @@ class LightRotation(nn.Module):
             return cls(n, m, operator, config["samples"], tensors["frames"], tables, config["normals"], compiled)
 
 
-def _matrices(s: Resampling, n: int, m: int, threshold: int, progress: bool) -> dict[str, Tensor]:
-    """R of every frame in 16 bits. |R| <= |S|, whose rows sum to 1: the root of its largest column sum bounds both."""
-    frames, rows = (len(s.starts) - 1) // m**2, m**2
-    column = torch.zeros(n * n, dtype=torch.float64)
-    parts, unit = [], 0.0
-    for first in range(0, frames, BLOCK):
-        some = s.part(first * rows, min(frames, first + BLOCK) * rows)
-        frame = torch.arange(len(some.starts) - 1).repeat_interleave(some.starts.diff()) // rows
-        sums = torch.zeros(BLOCK * n * n, dtype=torch.float64)
-        sums.index_add_(0, frame * n * n + some.cells, some.weights())
-        column = torch.maximum(column, sums.reshape(BLOCK, -1).amax(0))
-    unit = math.sqrt(float(column.max())) / LARGEST
+def _matrices(s: Resampling, n: int, m: int, threshold: int, compiled: bool, progress: bool) -> dict[str, Tensor]:
+    """R of every frame in 16 bits, in blocks of frames."""
+    frames, rows, unit = (len(s.starts) - 1) // m**2, m**2, _unit(s, n, m)
+    form = native.quantised if compiled else rotation.quantised
+    parts = []
     with tqdm(total=frames, desc="matrices", unit=" frames", disable=not progress) as bar:
         for first in range(0, frames, BLOCK):
-            some = s.part(first * rows, min(frames, first + BLOCK) * rows)
-            parts.append(rotation.quantise(rotation.matrices(some, n, m), unit, threshold))
-            bar.update((len(some.starts) - 1) // rows)
+            end = min(frames, first + BLOCK)
+            parts.append(form(s.part(first * rows, end * rows), n, m, unit, threshold))
+            bar.update(end - first)
     kept = [len(part.numbers) for part in parts]
     if not sum(kept):
         raise ValueError(f"threshold {threshold} leaves nothing: every number of the matrices is below it")
@@ -201,6 +194,16 @@ def _matrices(s: Resampling, n: int, m: int, threshold: int, progress: bool) -> 
         "numbers": torch.cat([part.numbers for part in parts]),
         "unit": torch.tensor(unit, dtype=torch.float64),
     }
+
+
+def _unit(s: Resampling, n: int, m: int) -> float:
+    """|R| <= |S|, whose rows sum to 1: the root of its largest column sum, over all frames, bounds every number."""
+    rows, column = m**2, torch.zeros(n * n, dtype=torch.float64)
+    for first in range(0, len(s.starts) - 1, rows):
+        some = s.part(first, first + rows)
+        sums = torch.bincount(some.cells, some.weights(), minlength=n * n)
+        column = torch.maximum(column, sums)
+    return math.sqrt(float(column.max())) / LARGEST
 
 
 def _expected(config: Mapping[str, Any]) -> saved.Shapes:

@@ -35,7 +35,12 @@ Relighting (equation 3; `relight`, `view`), in the order of what changes:
                                                                                  coordinates, C Z_s seen by a factor
     B[v, c] = sum over o of V[o, v] Q[c, o, v]  +  lobes                        view: V is u_o in the view direction
 
-Departures from the paper: the cosine weights of each point are scaled so that its hemisphere sums to pi; coefficients
+Rotated light (Wang et al. 2006, equations 5 to 7; `rotation`, `slices`), n a sampled normal, W Haar transforms:
+
+    R_n = W_M S_n W_N^T                                                         S_n: the map resampled around n
+    B[v, c] = sum over k of w[k, v]  sum over j of  F[o(v, k), j]  sum over l of  R_k[j, l] L[l, c]
+
+Departures from Sun et al.: the cosine weights of each point are scaled so that its hemisphere sums to pi; coefficients
 of T0 are shared out among the factors of a point by what each adds to the picture (`ptt.assembly`); lobes take over all
 light that the smooth remainder lacks (`lobes`); indirect light arrives in harmonics of the hemisphere, not the sphere.
 

@@ -30,6 +30,7 @@ from functools import cache
 from typing import NamedTuple
 
 import torch
+from scipy.sparse import block_diag, csr_array
 from torch import Tensor
 
 from ptt.ops import haar
@@ -192,11 +193,16 @@ def haar_matrix(n: int) -> Tensor:
 
 
 def matrices(s: Resampling, n: int, m: int) -> Tensor:
-    """R (f * M, N), sparse CSR, float64, of S: the product of three sparse matrices."""
+    """R (f * M, N), sparse CSR, float64, of S: the product of three sparse matrices.
+
+    By scipy: torch's product of two sparse matrices does not give back the memory of the result.
+    """
     frames = (len(s.starts) - 1) // m**2
-    analysis = haar_matrix(m).to_sparse_coo().transpose(0, 1).to_sparse_csr()
-    product: Tensor = _repeated(analysis, frames) @ (s.to_csr(n * n) @ haar_matrix(n))
-    return product
+    analysis = scipy_csr(haar_matrix(m)).T.tocsr()
+    product = block_diag([analysis] * frames, format="csr") @ (scipy_csr(s.to_csr(n * n)) @ scipy_csr(haar_matrix(n)))
+    product.sort_indices()
+    starts, columns, values = (torch.from_numpy(x) for x in (product.indptr, product.indices, product.data))
+    return csr(starts, columns, values, n * n)
 
 
 class Quantised(NamedTuple):
@@ -215,15 +221,19 @@ class Quantised(NamedTuple):
         return csr(self.starts, self.columns, self.numbers.to(dtype) * self.unit, source)
 
 
-def quantise(matrix: Tensor, unit: float, threshold: int) -> Quantised:
-    """A sparse CSR matrix in whole numbers of a unit; those of a magnitude below the threshold are dropped."""
+def quantised(s: Resampling, n: int, m: int, unit: float, threshold: int) -> Quantised:
+    """R of S in whole numbers of a unit; those of a magnitude below the threshold are dropped, and zeros always."""
+    matrix = matrices(s, n, m)
     numbers = (matrix.values() / unit).round()
     kept = numbers.abs() >= max(1, threshold)
     count = torch.nn.functional.pad(kept.cumsum(0), (1, 0))
-    column = torch.int16 if matrix.shape[1] <= 1 << 15 else torch.int32
-    return Quantised(
-        count[matrix.crow_indices().long()], matrix.col_indices()[kept].to(column), numbers[kept].to(torch.int16), unit
-    )
+    columns = matrix.col_indices()[kept].to(column_type(n))
+    return Quantised(count[matrix.crow_indices().long()], columns, numbers[kept].to(torch.int16), unit)
+
+
+def column_type(n: int) -> torch.dtype:
+    """Of the columns of R of a source of n * n cells."""
+    return torch.int16 if n * n <= 1 << 15 else torch.int32
 
 
 def rotated_light(coefficients: Tensor, matrix: Tensor, m: int) -> Tensor:
@@ -272,9 +282,7 @@ def _merged(cell: Tensor, each: int) -> tuple[Tensor, Tensor]:
     return ordered.flatten()[at] << _COUNT | counts.int(), first.sum(1)
 
 
-def _repeated(matrix: Tensor, times: int) -> Tensor:
-    """A sparse CSR matrix (x, y) on the diagonal of a larger one, so many times."""
-    starts, columns, values = matrix.crow_indices().long(), matrix.col_indices().long(), matrix.values()
-    copy = torch.arange(times)[:, None]
-    begins = torch.cat(((starts[:-1] + copy * len(values)).flatten(), starts.new_tensor([times * len(values)])))
-    return csr(begins, (columns + copy * matrix.shape[1]).flatten(), values.repeat(times), times * matrix.shape[1])
+def scipy_csr(matrix: Tensor) -> csr_array:
+    """A sparse CSR matrix as scipy's."""
+    parts = (x.numpy() for x in (matrix.values(), matrix.col_indices(), matrix.crow_indices()))
+    return csr_array(tuple(parts), shape=tuple(matrix.shape))

@@ -5,7 +5,7 @@ Where a kernel does not fit (another device or type, gradients, no compiler), th
 
 from ptt.ops.native.kernels import available
 from ptt.ops.native.relight import eigen, expand, light_eigen, lighting, view
-from ptt.ops.native.rotation import local_light, reflected, resampled_light, rotated_light, rotates
+from ptt.ops.native.rotation import local_light, quantised, reflected, resampled_light, rotated_light, rotates
 
 __all__ = [
     "available",
@@ -14,6 +14,7 @@ __all__ = [
     "light_eigen",
     "lighting",
     "local_light",
+    "quantised",
     "reflected",
     "resampled_light",
     "rotated_light",

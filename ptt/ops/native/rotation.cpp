@@ -86,6 +86,59 @@ extern "C" void ptt_resampled_light(const float *source, const float *frames, co
     });
 }
 
+// As rotation.py lays it out: S by starts (rows + 1) and reads; `terms` basis functions of the source that differ from zero
+// in each of its cells, at and worth (cells, terms); the local maps' analysis by begins (m * m + 1), parts and shares.
+struct Form {
+    const int64_t *starts, *begins;
+    const int32_t *reads, *at, *parts;
+    const double *worth, *shares;
+    int64_t *kept;  // numbers of each row: counted where `numbers` is null, then where the row begins
+    void *columns;
+    int16_t *numbers;
+    int64_t frames, m, cells, terms;
+    double scale;  // of a count, to units
+    int32_t threshold, wide, threads;
+};
+
+// Rows of R in whole units: once to count those that are kept, once to write them.
+extern "C" void ptt_form(const Form *g) {
+    const int64_t rows = g->m * g->m;
+    in_parallel(g->frames, g->threads, [=](int64_t f) {
+        static thread_local std::vector<double> sum;
+        static thread_local std::vector<int32_t> touched;
+        sum.assign(g->cells, 0.0);
+        for (int64_t row = 0; row < rows; ++row) {
+            touched.clear();
+            for (int64_t p = g->begins[row]; p < g->begins[row + 1]; ++p) {
+                const int64_t *start = g->starts + f * rows + g->parts[p];
+                for (int64_t k = start[0]; k < start[1]; ++k) {
+                    const double share = g->shares[p] * (g->reads[k] & 255);
+                    const int64_t first = (g->reads[k] >> 8) * g->terms;
+                    for (int64_t t = first; t < first + g->terms; ++t) {
+                        double &x = sum[g->at[t]];
+                        if (x == 0) touched.push_back(g->at[t]);
+                        x += share * g->worth[t];
+                    }
+                }
+            }
+            if (g->numbers) std::sort(touched.begin(), touched.end());
+            int64_t to = g->numbers ? g->kept[f * rows + row] : 0;
+            for (const int32_t column : touched) {
+                const long number = std::lrint(sum[column] * g->scale);
+                sum[column] = 0;  // one that was touched twice is 0 by then, and not kept
+                if (std::labs(number) < g->threshold) continue;
+                if (g->numbers) {
+                    g->numbers[to] = number;
+                    if (g->wide) ((int32_t *)g->columns)[to] = column;
+                    else ((int16_t *)g->columns)[to] = column;
+                }
+                ++to;
+            }
+            if (!g->numbers) g->kept[f * rows + row] = to;
+        }
+    });
+}
+
 // R in 16 bits: rows (frames * m * m), columns of `wide` or narrow type; coefficients (N) Fours
 template <class Column>
 static void rotated(const float *coefficients, const int64_t *starts, const Column *columns, const int16_t *numbers,

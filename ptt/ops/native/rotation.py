@@ -6,7 +6,7 @@ They take and give what those of `ptt.ops.rotation` and `ptt.ops.slices` do, in 
 from __future__ import annotations
 
 import ctypes
-from ctypes import c_float, c_int, c_int32, c_int64, c_void_p
+from ctypes import c_double, c_float, c_int, c_int32, c_int64, c_void_p
 from functools import cache
 
 import torch
@@ -24,6 +24,16 @@ CHANNELS = 4  # of a value in the kernels
 POINTERS = ("position", "normal", "frames", "eye", "weights", "light", "near", "first", "terms", "values", "out")
 LONGS = ("points", "width", "kept")
 INTS = ("distant", "views", "threads")
+
+
+class _Form(ctypes.Structure):
+    _fields_ = (
+        *((name, c_void_p) for name in ("starts", "begins", "reads", "at", "parts", "worth", "shares")),
+        *((name, c_void_p) for name in ("kept", "columns", "numbers")),
+        *((name, c_int64) for name in ("frames", "m", "cells", "terms")),
+        ("scale", c_double),
+        *((name, c_int32) for name in ("threshold", "wide", "threads")),
+    )
 
 
 class _Reflect(ctypes.Structure):
@@ -64,6 +74,28 @@ def resampled_light(coefficients: Tensor, frames: Tensor, target: Grid, samples:
     sizes = (len(frames), m, samples**2, directions.shape[1], coefficients.shape[-1])
     kernels.ptt_resampled_light(*tensors, *map(c_int64, sizes), c_int(torch.get_num_threads()))
     return out[..., : len(coefficients)]
+
+
+def quantised(s: Resampling, n: int, m: int, unit: float, threshold: int) -> Quantised:
+    """R in 16 bits, as `ptt.ops.rotation.quantised`, on all cores."""
+    kernels = library()
+    if kernels is None:
+        return rotation.quantised(s, n, m, unit, threshold)
+    source, analysis = rotation.haar_matrix(n), _analysis(m)
+    rows = len(s.starts) - 1
+    tensors = {"starts": s.starts, "reads": s.reads, "at": source.col_indices(), "worth": source.values()}
+    tensors |= dict(zip(("begins", "parts", "shares"), analysis, strict=True))
+    tensors |= {"kept": torch.empty(rows, dtype=torch.int64)}
+    numbers = {"frames": rows // m**2, "m": m, "cells": n * n, "terms": source.values().numel() // n**2}
+    column = rotation.column_type(n)
+    numbers |= {"threshold": max(1, threshold), "wide": column == torch.int32, "threads": torch.get_num_threads()}
+    pointers, scale = {name: tensor.data_ptr() for name, tensor in tensors.items()}, 1 / (unit * s.samples**2)
+    kernels.ptt_form(ctypes.byref(_Form(**pointers, **numbers, scale=scale)))
+    starts = pad(tensors["kept"].cumsum(0), (1, 0))
+    columns, values = (torch.empty(int(starts[-1]), dtype=t) for t in (column, torch.int16))
+    pointers |= {"kept": starts.data_ptr(), "columns": columns.data_ptr(), "numbers": values.data_ptr()}
+    kernels.ptt_form(ctypes.byref(_Form(**pointers, **numbers, scale=scale)))
+    return Quantised(starts, columns, values, unit)
 
 
 def rotated_light(coefficients: Tensor, matrix: Quantised, m: int) -> Tensor:
@@ -117,6 +149,13 @@ def _fits(light: Tensor, cut: Slices, first: Tensor, frames: Tensor, at: Located
 def _four(maps: Tensor) -> Tensor:
     """Maps (c, n, n) as (n * n, 4), zeros beyond c."""
     return pad(maps.flatten(1), (0, 0, 0, CHANNELS - len(maps))).T.contiguous()
+
+
+@cache
+def _analysis(m: int) -> tuple[Tensor, Tensor, Tensor]:
+    """W_M by its rows: begins (M + 1,), cells int32, shares float64."""
+    transform = rotation.haar_matrix(m).to_sparse_coo().transpose(0, 1).to_sparse_csr()
+    return transform.crow_indices().long(), transform.col_indices().int(), transform.values()
 
 
 @cache
