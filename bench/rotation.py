@@ -1,6 +1,6 @@
 """Rotation of light: every figure of it, as rows of bench/results/rotation.csv.
 
-    PTT_DATA=... python bench/rotation.py             # 20 minutes on two cores
+    PTT_DATA=... python bench/rotation.py             # 9 minutes on two cores
     python bench/rotation.py --quick                  # half a minute: small maps and a ball, written nowhere
 
 Needs the extra `peers` (pyshtools), and PTT_DATA with meshes and maps. Pictures go to docs/images.
@@ -29,7 +29,7 @@ from bench import rotation_peers as peers
 from bench import rotation_pictures as pictures
 from bench.table import Table, median_seconds, read_bandwidth, setting
 from ptt import reference
-from ptt.ops import haar, mesh, rotation, slices
+from ptt.ops import haar, mesh, native, rotation, slices
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
 
 PAPER = {  # table 2: seconds, MB, non-zeros a row, light changes a second
@@ -122,6 +122,7 @@ def main() -> None:
     cuts(table, bodies, light, 32 if quick else 64)
     anisotropic(table, ball, light, quick)
     views(table, scenes, light, 32 if quick else 64)
+    forms(table, scenes.get("dragon", ball), light, 32 if quick else 64)
     peers.compare(table, bodies[0], light, 16 if quick else 64, 8 if quick else 32)
     extremes(table, ball)
     if not quick:
@@ -221,7 +222,7 @@ def table_3(table: Table, bodies: Sequence[Body], light: ptt.Environment, n: int
                 once = same_direction(relighter, body, light, material)
                 once = ptt.relative_rmse(once, body.truth[material])
                 table.row(
-                    f"{what}, {body.name}, {material}, one lookup", once, "relative RMSE", f"the paper's; {noted}"
+                    f"{what}, {body.name} {material} in one direction", once, "relative RMSE", f"the paper's; {noted}"
                 )
 
 
@@ -371,6 +372,35 @@ def views(table: Table, scenes: dict[str, ptt.Scene], light: ptt.Environment, n:
         table.row(
             f"light change per pixel, {name}", 1 / took, "frames/s", f"{len(pixels.pixel)} pixels of 640 x 480, rank 32"
         )
+
+
+def forms(table: Table, scene: ptt.Scene, light: ptt.Environment, n: int) -> None:
+    """The view step as plain torch, by torch.compile with its blocks opened, and as a kernel."""
+    relighter, shape = (
+        ptt.EnvMapRelighter(scene, ptt.LightRotation.build(n, 32)),
+        ptt.fitted("gold-metallic-paint").shape,
+    )
+    assert shape is not None and scene.camera is not None
+    at, cut = relighter.placed[0].at, relighter._slices(shape)
+    args = relighter.incident(light).local, cut, slices.first_slice(cut, at.twist), relighter.rotation.frames, at
+
+    def whole(
+        local: Tensor, cut: slices.Slices, first: Tensor, frames: Tensor, at: slices.Located, eye: Tensor
+    ) -> Tensor:
+        which = first + slices._view_cell(cut.views, frames, at, eye)
+        values = cut.values[which].float() * at.weights[..., None]
+        return (values[..., None] * local[at.near[..., None].long(), cut.terms[which].long()]).sum((0, 2))
+
+    eye, how = torch.tensor(scene.camera.eye), f"{len(scene.vertices)} vertices, {relighter.terms} terms; {setting()}"
+    exact = native.reflected(*args, eye)
+    for name, step in {
+        "eager": slices.reflected,
+        "torch.compile": torch.compile(whole),
+        "kernel": native.reflected,
+    }.items():
+        took = median_seconds(lambda f=step: f(*args, eye), 5)  # type: ignore[misc]
+        off = ptt.relative_rmse(step(*args, eye), exact)
+        table.row(f"view step, {name}", 1e3 * took, "ms", f"off the kernel by {off:.1e}; {how}")
 
 
 def extremes(table: Table, ball: ptt.Scene) -> None:
