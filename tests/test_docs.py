@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-EXAMPLES = ["ptt.ops", "ptt.ops.haar", "ptt.ops.octahedral", "ptt.ops.sphere"]
+EXAMPLES = [f"ptt.ops{name}" for name in ("", ".geodesic", ".haar", ".octahedral", ".rotation", ".sphere")]
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

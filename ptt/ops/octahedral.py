@@ -26,7 +26,7 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor
 
-from ptt.ops.sphere import Grid, at_least_one, centres, checked_directions, crossed, step_index, unit
+from ptt.ops.sphere import Squares, at_least_one, centres, checked_directions, crossed, step_index, unit
 
 TILE = 4  # cells along the edge of a tile
 
@@ -63,7 +63,7 @@ def corners(ab: Tensor, n: int, wrap: bool) -> tuple[Tensor, Tensor]:
 
 
 @dataclass(frozen=True)
-class _Unfolded(Grid):
+class _Unfolded(Squares):
     """n x n cells on the square of a chart that is linear on each face; folds are edges or diagonals of cells."""
 
     n: int

@@ -1,6 +1,6 @@
 """Grids: partitions of the sphere, or of the hemisphere around +z, in cells.
 
-Every grid is a rectangle (or six) of rows and columns with a chart to directions. Tables are float64.
+Most are a rectangle (or six) of rows and columns with a chart to directions (`Squares`). Tables are float64.
 Laws, for every grid g:
 
 - ``g.solid_angles()`` is exact and sums to 4 pi (2 pi on the hemisphere).
@@ -27,7 +27,7 @@ _Function = Callable[[Tensor], Tensor]
 
 
 class Grid(ABC):
-    """A partition in cells, row by row; the last two axes of `shape` are rows and columns."""
+    """A partition of the sphere, or of a part of it, in cells."""
 
     @property
     @abstractmethod
@@ -39,13 +39,13 @@ class Grid(ABC):
         """Number of cells."""
         return prod(self.shape)
 
+    @abstractmethod
     def directions(self) -> Tensor:
         """Centres of the cells (*shape, 3), unit, float64."""
-        return self._directions(*self._edges())
 
+    @abstractmethod
     def solid_angles(self) -> Tensor:
         """Exact solid angles (*shape) [sr], float64."""
-        return self._solid_angles(*self._edges())
 
     @abstractmethod
     def cell(self, directions: Tensor) -> Tensor:
@@ -59,27 +59,45 @@ class Grid(ABC):
     def refine(self, k: int) -> Grid:
         """The grid with each cell cut in k x k cells."""
 
+    @abstractmethod
     def coarsen(self, values: Tensor, k: int) -> Tensor:
         """Sums (*shape, ...), over the k x k parts of each cell, of values (*refine(k).shape, ...).
 
         Raises:
             ValueError: the leading axes of `values` are not those of `refine(k)`.
         """
-        expected = self.refine(k).shape
-        if tuple(values.shape[: len(expected)]) != expected:
-            raise ValueError(f"values must have refine({k}).shape = {expected}, got {tuple(values.shape)}")
-        return self._block_sums(values, k)
 
+    @abstractmethod
     def means(self, function: _Function, k: int, chunk: int = 1 << 20) -> Tensor:
         """Mean over each cell (*shape, channels) of function(directions (..., 3) float32) -> (..., channels).
 
         The midpoint rule on `refine(k)`, weighted by exact solid angles, about `chunk` directions at a time.
         A cell without a weight (outside the disk) takes the plain mean.
         """
+
+
+class Squares(Grid):
+    """Cells row by row; the last two axes of `shape` are rows and columns."""
+
+    def directions(self) -> Tensor:
+        return self._directions(*self._edges())
+
+    def solid_angles(self) -> Tensor:
+        return self._solid_angles(*self._edges())
+
+    def coarsen(self, values: Tensor, k: int) -> Tensor:
+        expected = self.refine(k).shape
+        if tuple(values.shape[: len(expected)]) != expected:
+            raise ValueError(f"values must have refine({k}).shape = {expected}, got {tuple(values.shape)}")
+        return self._block_sums(values, k)
+
+    def means(self, function: _Function, k: int, chunk: int = 1 << 20) -> Tensor:
         return torch.cat(list(self._strips_of_means(function, k, chunk)), dim=len(self.shape) - 2)
 
     def _strips_of_means(self, function: _Function, k: int, chunk: int) -> Iterator[Tensor]:
-        rows, columns = self.refine(k)._edges()
+        fine = self.refine(k)
+        assert isinstance(fine, Squares)
+        rows, columns = fine._edges()
         step = max(1, chunk * self.shape[-2] // (self.cells * k * k))
         for first in range(0, self.shape[-2], step):
             strip = rows[first * k : (first + step) * k + 1]
@@ -107,7 +125,7 @@ class Grid(ABC):
 
 
 @dataclass(frozen=True)
-class LatLong(Grid):
+class LatLong(Squares):
     """Latitude-longitude grid: u = atan2(x, -z) / 2 pi (mod 1) along columns, v = acos(y) / pi along rows."""
 
     height: int
@@ -142,7 +160,7 @@ class LatLong(Grid):
 
 
 @dataclass(frozen=True)
-class Cube(Grid):
+class Cube(Squares):
     """Six faces of n x n cells, +X -X +Y -Y +Z -Z, uniform in the plane of each face (OpenGL's orientation).
 
     With s along columns and t along rows, both in [-1, 1], the faces hold the directions
@@ -186,7 +204,7 @@ class Cube(Grid):
 
 
 @dataclass(frozen=True)
-class Disk(Grid):
+class Disk(Squares):
     """Hemisphere around +z, seen along z: n x n cells on the square around the unit disk.
 
     x runs along columns, y along rows. Inside the unit circle all cells have the same projected solid angle:
@@ -249,6 +267,12 @@ class Disk(Grid):
         # area of the sphere above the rectangle from (0, 0) to (a, b): integral of asin(b / sqrt(1 - x^2)) dx
         corner = a * torch.atan2(b, r) + b * torch.atan2(a, r) - torch.atan2(a * b, r)
         return _within_circle(_mixed_difference(corner), 2 * rows - 1, 2 * columns - 1)
+
+
+def triangle_solid_angles(p: Tensor, q: Tensor, r: Tensor) -> Tensor:
+    """Solid angles (...) [sr] of spherical triangles, corners (..., 3) unit, by Van Oosterom and Strackee."""
+    volume = (p * torch.linalg.cross(q, r)).sum(-1).abs()
+    return 2 * torch.atan2(volume, 1 + (p * q).sum(-1) + (q * r).sum(-1) + (r * p).sum(-1))
 
 
 def turn(axis: int, degrees: float) -> Tensor:
