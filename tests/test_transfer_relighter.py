@@ -154,7 +154,7 @@ def test_without_a_compiler_it_stays_eager_with_one_warning(
 
 def test_refusals(relighter: ptt.TransferRelighter, small_scene: ptt.Scene) -> None:
     camera = small_scene.camera
-    with pytest.raises(ValueError, match="no region knot; the model has floor, ball"):
+    with pytest.raises(ValueError, match="no region knot; there are floor, ball"):
         relighter(SKY, {"knot": ptt.lambert()}, camera)
     with pytest.raises(ValueError, match="region floor is fixed"):
         relighter(SKY, {"floor": ptt.lambert(0.1)}, camera)

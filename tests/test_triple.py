@@ -57,8 +57,8 @@ def test_dense_integral_is_the_quadrature(level: int) -> None:
 
 
 def test_integral_is_the_sum_over_the_theorem() -> None:
-    """Level 2, by all triples whose coefficient may not be zero."""
-    f, g, h = (geodesic.analyse(x) for x in functions(3, 2, seed=3))
+    """Level 1, by all triples whose coefficient may not be zero."""
+    f, g, h = (geodesic.analyse(x) for x in functions(3, 1, seed=3))
     total = 0.0
     for i, j, k in _likely(len(f)):
         total += triple.coefficient(i, j, k) * float(f[i] * g[j] * h[k])
