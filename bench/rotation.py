@@ -119,6 +119,8 @@ def main() -> None:
     table_1(table, bodies, light, 32 if quick else 64, 8 if quick else 32)
     table_3(table, bodies, light, 32 if quick else 64, (8, 16) if quick else (8, 16, 32, 64))
     accuracy(table, bodies, light, (16, 32) if quick else (16, 32, 64, 128))
+    if "grace" in lights:
+        small_lamps(table, ball, lights["grace"], counts, samples)
     figure_7(table, lights, 32 if quick else 128)
     cuts(table, bodies, light, 32 if quick else 64)
     anisotropic(table, ball, light, quick)
@@ -264,6 +266,16 @@ def accuracy(table: Table, bodies: Sequence[Body], light: ptt.Environment, sizes
         for material in GLOSSY:
             value = body.error(relighter, light, material)
             table.row(f"accuracy, light of {keep} terms, {body.name} {material}", value, "relative RMSE", f"of {n}^2")
+
+
+def small_lamps(table: Table, ball: ptt.Scene, light: ptt.Environment, counts: int, samples: int) -> None:
+    """Under a map whose lamps are smaller than a cell: where N ends."""
+    body = Body.of("sphere", ball, light, counts, samples)
+    for n in (64, 128):
+        relighter = ptt.EnvMapRelighter(ball, ptt.LightRotation.build(n, 32))
+        for material in (*GLOSSY, DULL):
+            value, noise = body.error(relighter, light, material), f"noise of the reference {body.noise[material]:.4f}"
+            table.row(f"grace, N {n}^2, sphere {material}", value, "relative RMSE", f"32 x 32 normals; {noise}")
 
 
 def figure_7(table: Table, lights: dict[str, ptt.Environment], n: int) -> None:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ptt.ops import haar, rotation
+from ptt.ops.geodesic import Geodesic
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
 from ptt.ops.sphere import turn
 
@@ -83,6 +84,25 @@ def test_symmetries_of_the_map_permute_cells() -> None:
     for _ in range(4):
         four = rotation.rotate(four, quarter)
     assert torch.equal(four, values)
+
+
+@pytest.mark.parametrize("level", [2, 3, 4])
+def test_rotation_on_triangles(level: int) -> None:
+    """In the triangular basis: a constant, the identity, a smooth function, there and back, all as on squares."""
+    grid = Geodesic(level)
+    constant = torch.full((grid.cells, 1), 0.75, dtype=torch.float64)
+    values, edge = smooth(grid.directions()), 1.2 / 2**level  # of the largest triangle
+    assert torch.equal(rotation.rotate(values, torch.eye(3, dtype=torch.float64), source=grid), values)
+    for frame in random_frames(3):
+        assert torch.equal(rotation.rotate(constant, frame, source=grid), constant)
+        rotated = rotation.rotate(values, frame, source=grid)
+        assert float((rotated - smooth(grid.directions() @ frame)).abs().max()) < 2 * edge
+        back = rotation.rotate(rotated, frame.T, source=grid)
+        assert float((back - values).square().mean().sqrt()) < edge / 2
+    with pytest.raises(ValueError, match="power of two"):
+        rotation.rotate(values, frame, source=grid, samples=3)
+    with pytest.raises(ValueError, match="values must be"):
+        rotation.rotate(values[:-1], frame, source=grid)
 
 
 def test_direction_convention() -> None:

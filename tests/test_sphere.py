@@ -9,6 +9,8 @@ import pytest
 import torch
 from scipy.integrate import quad
 
+from ptt.ops.geodesic import Geodesic
+from ptt.ops.octahedral import HemiOctahedral, Octahedral
 from ptt.ops.sphere import Cube, Disk, Grid, LatLong
 
 GRIDS = [LatLong(1, 2), LatLong(5, 12), LatLong(64, 128), Cube(1), Cube(7), Cube(64)]
@@ -68,6 +70,13 @@ def test_refined_cells_nest(grid: Grid, k: int) -> None:
         mask = parts.repeat_interleave(k, -1).repeat_interleave(k, -2)
         assert torch.equal(grid.coarsen(mask, k), parts * k * k)
         assert torch.equal(mask.flatten()[fine.cell(d)].bool(), grid.cell(d) == cell)
+
+
+@pytest.mark.parametrize("grid", [LatLong(5, 12), Cube(3), Octahedral(6), HemiOctahedral(5), Geodesic(2)], ids=str)
+@pytest.mark.parametrize("k", [1, 2, 4])
+def test_samples_lie_in_their_cells(grid: Grid, k: int) -> None:
+    owner = torch.arange(grid.cells).repeat_interleave(k * k)
+    assert torch.equal(grid.cell(grid.samples(k)), owner)
 
 
 def test_coarsen_keeps_trailing_axes_and_refuses_other_shapes() -> None:

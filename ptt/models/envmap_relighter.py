@@ -228,13 +228,14 @@ class EnvMapRelighter(nn.Module):
         """Of a shape, with its parameters as they are now; the last few are remembered."""
         if torch.is_grad_enabled() and carries_gradient(shape):
             raise ValueError("shapes carry no gradients here: detach the parameters, or use TransferRelighter")
-        key = frozen(shape)
+        key = frozen(shape), self.cosine.device
         if key not in self._cut:
             while len(self._cut) >= REMEMBERED:
                 self._cut.pop(next(iter(self._cut)))
             m, twists = self.rotation.m, 1 if shape.isotropic else self.twists
             make = slices.tabulate if self.rank is None else slices.factorise
-            self._cut[key] = make(shape.evaluate, m, self.views, self.terms if self.rank is None else self.rank, twists)
+            kept = self.terms if self.rank is None else self.rank
+            self._cut[key] = make(shape.evaluate, m, self.views, kept, twists).to(self.cosine.device)
         return self._cut[key]
 
 

@@ -94,6 +94,11 @@ class Geodesic(Grid):
             raise ValueError(f"values must have refine({k}).shape = {fine.shape}, got {tuple(values.shape)}")
         return values.reshape(self.cells, -1, *values.shape[1:]).sum(1)
 
+    def samples(self, k: int) -> Tensor:
+        if k < 1 or k & (k - 1):
+            raise ValueError(f"k must be a power of two for triangles, got {k}")
+        return self.refine(k).directions()
+
     def means(self, function: Callable[[Tensor], Tensor], k: int, chunk: int = 1 << 20) -> Tensor:
         parts, levels = [], self.refine(k).level - self.level
         for corners in self.corners().split(max(1, chunk >> 2 * levels)):

@@ -94,7 +94,7 @@ def frames_of(normals: Tensor) -> Tensor:
 
 
 def resampling(source: Grid, target: Grid, frames: Tensor, samples: int = SAMPLES) -> Resampling:
-    """S of frames (f, 3, 3), from a source of n x n cells around the world to a target around each frame.
+    """S of frames (f, 3, 3), from a source grid around the world to a target around each frame.
 
     Raises:
         ValueError: samples is not in 1..15, or frames are not orthonormal.
@@ -102,19 +102,12 @@ def resampling(source: Grid, target: Grid, frames: Tensor, samples: int = SAMPLE
     check_frames(frames)
     if not 1 <= samples <= 15:
         raise ValueError(f"samples must be in 1..15, got {samples}")
-    local = samples_of(target, samples).double()
+    local = target.samples(samples).double()
     parts = [_merged(source.cell(local @ some), samples**2) for some in _blocks(frames.double(), len(local))]
     counts = torch.cat([kept for _, kept in parts])
     return Resampling(
         torch.nn.functional.pad(counts.cumsum(0), (1, 0)), torch.cat([reads for reads, _ in parts]), samples
     )
-
-
-def samples_of(target: Grid, samples: int) -> Tensor:
-    """Directions (M * samples^2, 3) of the parts of each cell of a grid, cell by cell, float64."""
-    rows, columns = target.shape
-    fine = target.refine(samples).directions().reshape(rows, samples, columns, samples, 3)
-    return fine.transpose(1, 2).reshape(-1, 3)
 
 
 def resample(values: Tensor, s: Resampling) -> Tensor:
@@ -129,22 +122,28 @@ def resample(values: Tensor, s: Resampling) -> Tensor:
     )
 
 
-def rotate(values: Tensor, frame: Tensor, target: Grid | None = None, samples: int = SAMPLES) -> Tensor:
-    """A function on the sphere, values (n, n, c) on `Octahedral(n)`, as it is seen in a frame (3, 3).
+def rotate(
+    values: Tensor, frame: Tensor, target: Grid | None = None, samples: int = SAMPLES, source: Grid | None = None
+) -> Tensor:
+    """A function on the sphere, values (*source.shape, c), as it is seen in a frame (3, 3).
 
     The value in the local direction d is that in the world's direction frame^T d. Differentiable in the values.
 
     target: grid of the result (*shape, c); None for the source's own
+    source: None for `Octahedral(n)` of values (n, n, c); `Geodesic` rotates what the triangular basis stands for
 
     Raises:
-        ValueError: values are not (n, n, c), or the frame is not orthonormal.
+        ValueError: values have another shape than the source, or the frame is not orthonormal.
     """
-    if values.ndim != 3 or values.shape[0] != values.shape[1]:
-        raise ValueError(f"values must be (n, n, c) on an octahedral map, got {tuple(values.shape)}")
-    source = Octahedral(len(values))
+    if source is None:
+        if values.ndim != 3 or values.shape[0] != values.shape[1]:
+            raise ValueError(f"values must be (n, n, c) on an octahedral map, got {tuple(values.shape)}")
+        source = Octahedral(len(values))
+    if tuple(values.shape[:-1]) != source.shape:
+        raise ValueError(f"values must be (*{source.shape}, c), got {tuple(values.shape)}")
     target = target or source
     s = resampling(source, target, frame[None], samples)
-    return resample(values.flatten(0, 1), s).reshape(*target.shape, -1)
+    return resample(values.reshape(source.cells, -1), s).reshape(*target.shape, -1)
 
 
 def local_light(coefficients: Tensor, s: Resampling, m: int) -> Tensor:
@@ -166,7 +165,7 @@ def resampled_light(coefficients: Tensor, frames: Tensor, target: Grid, samples:
     """As `local_light` of `resampling`, without tables: the samples are looked up anew. Differentiable."""
     source = Octahedral(coefficients.shape[-1])
     values, m = haar.synthesise(coefficients).flatten(1).T.contiguous(), target.shape[-1]
-    local = samples_of(target, samples).to(values)
+    local = target.samples(samples).to(values)
     parts = []
     for some in _blocks(frames.to(values), len(local)):
         cell = source.cell(local @ some).reshape(-1, samples**2)

@@ -22,7 +22,6 @@ from torch import Tensor
 
 from ptt.ops import haar
 from ptt.ops.octahedral import HemiOctahedral, corners, hemi_octahedral, octahedral
-from ptt.ops.rotation import samples_of
 
 BRDF = Callable[[Tensor, Tensor], Tensor]  # f(wi, wo): (..., 3), (..., 3) -> (...) [1/sr]
 ALIGNED = 16  # points, and terms, come in multiples of it
@@ -53,6 +52,11 @@ class Slices(NamedTuple):
     def bytes(self) -> int:
         """Size of all tables."""
         return sum(t.numel() * t.element_size() for t in (self.terms, self.values, self.basis) if t is not None)
+
+    def to(self, device: torch.device) -> Slices:
+        """The same on a device."""
+        basis = None if self.basis is None else self.basis.to(device)
+        return Slices(self.terms.to(device), self.values.to(device), self.views, basis)
 
     def to_dense(self, cells: int) -> Tensor:
         """(s, cells)."""
@@ -187,7 +191,7 @@ def _projected(m: int, samples: int) -> Tensor:
 
 def _dense(f: BRDF, m: int, wo: Tensor, twists: int, samples: int) -> Iterator[Tensor]:
     """Slices (b, M) in texels for directions of view (v, 3), in blocks, float32."""
-    wi, weight = samples_of(HemiOctahedral(m), samples).float(), _projected(m, samples).float()
+    wi, weight = HemiOctahedral(m).samples(samples).float(), _projected(m, samples).float()
     for k in range(twists):
         c, s = math.cos(2 * math.pi * k / twists), math.sin(2 * math.pi * k / twists)
         turned = torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # into the frame of the tangent

@@ -68,6 +68,10 @@ class Grid(ABC):
         """
 
     @abstractmethod
+    def samples(self, k: int) -> Tensor:
+        """Centres (cells * k * k, 3) of the k x k parts of each cell, cell by cell, unit, float64."""
+
+    @abstractmethod
     def means(self, function: _Function, k: int, chunk: int = 1 << 20) -> Tensor:
         """Mean over each cell (*shape, channels) of function(directions (..., 3) float32) -> (..., channels).
 
@@ -90,6 +94,11 @@ class Squares(Grid):
         if tuple(values.shape[: len(expected)]) != expected:
             raise ValueError(f"values must have refine({k}).shape = {expected}, got {tuple(values.shape)}")
         return self._block_sums(values, k)
+
+    def samples(self, k: int) -> Tensor:
+        rows, columns = self.shape[-2:]
+        fine = self.refine(k).directions().reshape(-1, rows, k, columns, k, 3)
+        return fine.transpose(2, 3).reshape(-1, 3)
 
     def means(self, function: _Function, k: int, chunk: int = 1 << 20) -> Tensor:
         return torch.cat(list(self._strips_of_means(function, k, chunk)), dim=len(self.shape) - 2)

@@ -161,5 +161,5 @@ def _analysis(m: int) -> tuple[Tensor, Tensor, Tensor]:
 @cache
 def _directions(target: Grid, samples: int) -> Tensor:
     """(3, padded): of the samples of every cell, in whole vectors."""
-    directions = rotation.samples_of(target, samples).float()
+    directions = target.samples(samples).float()
     return pad(directions.T, (0, -len(directions) % ALIGNED), value=1.0).contiguous()
