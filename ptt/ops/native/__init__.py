@@ -6,6 +6,7 @@ Where a kernel does not fit (another device or type, gradients, no compiler), th
 from ptt.ops.native.kernels import available
 from ptt.ops.native.relight import eigen, expand, light_eigen, lighting, view
 from ptt.ops.native.rotation import local_light, quantised, reflected, resampled_light, rotated_light, rotates
+from ptt.ops.native.shading import shade
 
 __all__ = [
     "available",
@@ -19,5 +20,6 @@ __all__ = [
     "resampled_light",
     "rotated_light",
     "rotates",
+    "shade",
     "view",
 ]

@@ -14,7 +14,8 @@ import warnings
 from functools import cache
 from pathlib import Path
 
-SOURCES = tuple(Path(__file__).with_name(name) for name in ("light.cpp", "brdf.cpp", "view.cpp", "rotation.cpp"))
+NAMES = "light", "brdf", "view", "rotation", "shading"
+SOURCES = tuple(Path(__file__).with_name(f"{name}.cpp") for name in NAMES)
 HEADER = Path(__file__).with_name("lanes.h")
 # not -ffast-math, with which GCC sets the process to flush denormals
 FLAGS = "-std=c++17 -O3 -march=native -mprefer-vector-width=512 -fno-math-errno -fno-trapping-math -fopenmp -fPIC -w"
