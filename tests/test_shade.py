@@ -57,6 +57,8 @@ def built() -> None:
 @pytest.mark.parametrize("i", [1, 2])
 def test_kernel(n: int, k: int, j: int, i: int, built: None, monkeypatch: pytest.MonkeyPatch) -> None:
     tables, at = scene(n, 150, k, j, i)
+    for first in (3, 40, 63, 100):  # neighbours of the same frames, which are shaded together
+        at.frames[:, first + 1] = at.frames[:, first]
     wanted = shade.shade(tables, at)
     monkeypatch.setattr(shade, "shade", None)  # so that it cannot have been the plain one
     torch.testing.assert_close(native.shade(tables, at), wanted, rtol=2e-5, atol=1e-6)

@@ -38,64 +38,81 @@ struct Shade {
     int32_t lights, vertices, materials, threads;
 };
 
-// Of K frames, J rows of visibility and I materials.
-template <int K, int J, int I>
+// Of R points from p on that have the same K frames, so that their light is read once; J rows of visibility, I materials.
+template <int R, int K, int J, int I>
 static void shade(const Shade &g, int64_t p) {
     const int64_t n = g.n, count = g.points;
-    const Half *light[K], *glossy[I];
-    const uint8_t *seen[J];
-    float share[J];
+    const Half *light[K], *glossy[R][I];
+    const uint8_t *seen[R][J];
     for (int k = 0; k < K; ++k) light[k] = g.light + (int64_t)g.frames[k * count + p] * 3 * n;
-    for (int i = 0; i < I; ++i) glossy[i] = g.glossy + (int64_t)g.view[i * count + p] * n;
-    for (int j = 0; j < J; ++j) {
-        seen[j] = g.visibility + (int64_t)g.seen[j * count + p] * n;
-        share[j] = g.shares[j * count + p];
+    for (int r = 0; r < R; ++r) {
+        for (int i = 0; i < I; ++i) glossy[r][i] = g.glossy + (int64_t)g.view[i * count + p + r] * n;
+        for (int j = 0; j < J; ++j) seen[r][j] = g.visibility + (int64_t)g.seen[j * count + p + r] * n;
     }
-    const float *diffuse = g.diffuse + 3 * p;
-    Lanes sum[K][3] = {};
+    Lanes sum[R][K][3] = {};
     for (int64_t t = 0; t < n; t += LANES) {
-        Lanes visible = {}, f[I];
-        for (int j = 0; j < J; ++j) visible += share[j] * load(seen[j] + t);
-        for (int i = 0; i < I; ++i) f[i] = load(glossy[i] + t);
         const Lanes dull = load(g.dull + t);
-        for (int c = 0; c < 3; ++c) {
-            Lanes factor = diffuse[c] * dull;
-            for (int i = 0; i < I; ++i) factor += g.specular[(i * count + p) * 3 + c] * f[i];
-            factor *= visible;
-            for (int k = 0; k < K; ++k) sum[k][c] += factor * load(light[k] + c * n + t);
+        Lanes factor[R][3];
+        for (int r = 0; r < R; ++r) {
+            Lanes visible = {};
+            for (int j = 0; j < J; ++j) visible += g.shares[j * count + p + r] * load(seen[r][j] + t);
+            for (int c = 0; c < 3; ++c) factor[r][c] = g.diffuse[3 * (p + r) + c] * dull;
+            for (int i = 0; i < I; ++i) {
+                const Lanes f = load(glossy[r][i] + t);
+                for (int c = 0; c < 3; ++c) factor[r][c] += g.specular[(i * count + p + r) * 3 + c] * f;
+            }
+            for (int c = 0; c < 3; ++c) factor[r][c] *= visible;
         }
+        for (int k = 0; k < K; ++k)
+            for (int c = 0; c < 3; ++c) {
+                const Lanes value = load(light[k] + c * n + t);
+                for (int r = 0; r < R; ++r) sum[r][k][c] += factor[r][c] * value;
+            }
     }
-    for (int c = 0; c < 3; ++c) {
-        Lanes all = {};
-        for (int k = 0; k < K; ++k) all += g.weights[k * count + p] * sum[k][c];
-        g.out[3 * p + c] = g.unit * sum_of(all);
+    for (int r = 0; r < R; ++r)
+        for (int c = 0; c < 3; ++c) {
+            Lanes all = {};
+            for (int k = 0; k < K; ++k) all += g.weights[k * count + p + r] * sum[r][k][c];
+            g.out[3 * (p + r) + c] = g.unit * sum_of(all);
+        }
+}
+
+// Points first..end-1, two at a time where their frames agree.
+template <int K, int J, int I>
+static void shade_all(const Shade &g, int64_t first, int64_t end) {
+    for (int64_t p = first; p < end;) {
+        bool alike = K <= 4 && p + 1 < end;  // for eight there are not enough registers
+        for (int k = 0; k < K && alike; ++k) alike = g.frames[k * g.points + p] == g.frames[k * g.points + p + 1];
+        if (alike) shade<2, K, J, I>(g, p), p += 2;
+        else shade<1, K, J, I>(g, p), ++p;
     }
 }
 
 template <int K, int J>
-static inline void of_materials(const Shade &g, int64_t p) {
+static inline void of_materials(const Shade &g, int64_t first, int64_t end) {
     switch (g.materials) {
-        case 1: return shade<K, J, 1>(g, p);
-        case 2: return shade<K, J, 2>(g, p);
+        case 1: return shade_all<K, J, 1>(g, first, end);
+        case 2: return shade_all<K, J, 2>(g, first, end);
     }
 }
 
 template <int K>
-static inline void of_visibility(const Shade &g, int64_t p) {
+static inline void of_visibility(const Shade &g, int64_t first, int64_t end) {
     switch (g.vertices) {
-        case 1: return of_materials<K, 1>(g, p);
-        case 3: return of_materials<K, 3>(g, p);
-        case 4: return of_materials<K, 4>(g, p);
+        case 1: return of_materials<K, 1>(g, first, end);
+        case 3: return of_materials<K, 3>(g, first, end);
+        case 4: return of_materials<K, 4>(g, first, end);
     }
 }
 
 extern "C" void ptt_shade(const Shade *g) {
     constexpr int64_t BLOCK = 64;
     in_parallel((g->points + BLOCK - 1) / BLOCK, g->threads, [=](int64_t b) {
-        for (int64_t p = b * BLOCK; p < std::min((b + 1) * BLOCK, g->points); ++p) {
-            if (g->lights == 1) of_visibility<1>(*g, p);
-            else if (g->lights == 4) of_visibility<4>(*g, p);
-            else of_visibility<8>(*g, p);
+        const int64_t first = b * BLOCK, end = std::min(first + BLOCK, g->points);
+        switch (g->lights) {
+            case 1: return of_visibility<1>(*g, first, end);
+            case 4: return of_visibility<4>(*g, first, end);
+            case 8: return of_visibility<8>(*g, first, end);
         }
     });
 }
