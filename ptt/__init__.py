@@ -23,6 +23,7 @@ from ptt.models.light_rotation import LightRotation
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.models.transfer_model import TransferModel
 from ptt.models.transfer_relighter import TransferRelighter
+from ptt.models.triple_relighter import TripleProductRelighter
 from ptt.occlusion import ambient_occlusion
 from ptt.precompute import RawTransfer, precompute
 from ptt.render import Image, render
@@ -55,6 +56,7 @@ __all__ = [
     "TensorBRDF",
     "TransferModel",
     "TransferRelighter",
+    "TripleProductRelighter",
     "Ward",
     "ambient_occlusion",
     "assemble",

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ptt.ops import haar, native, rotation, slices
+from ptt.ops.geodesic import Geodesic
 from ptt.ops.native import rotation as kernels
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
 from ptt.ops.slices import Located, Slices
@@ -53,6 +54,20 @@ def test_resampled_light(n: int, m: int, samples: int) -> None:
     off = (got - wanted).abs()
     assert float((off > 2e-6 * m).float().mean()) < 0.002
     assert float(off.max()) <= 2 / samples**2
+
+
+@pytest.mark.parametrize("level", [1, 2])
+def test_resampled_values(level: int) -> None:
+    """In 16 bits: to half a unit in the last place of the largest."""
+    grid = Geodesic(level)
+    s = rotation.resampling(Octahedral(16), grid, frames_for(5))
+    values = 1e9 * torch.rand(256, 3, generator=torch.Generator().manual_seed(0)) ** 8
+    got, unit = native.resampled_values(values, s, grid.cells)
+    wanted, same = rotation.resampled_values(values, s, grid.cells)
+    assert got.shape == (5, 3, grid.cells) and unit == same and bool(got.isfinite().all())
+    torch.testing.assert_close(got.float(), wanted.float(), rtol=1e-3, atol=1e-3)
+    exact = rotation.resample(values.double(), s).reshape(5, grid.cells, 3).transpose(1, 2)
+    torch.testing.assert_close(got.double() * unit, exact, rtol=1e-3, atol=1.0)
 
 
 @pytest.mark.parametrize(("n", "m"), [(2, 1), (16, 8), (8, 16)])

@@ -5,7 +5,15 @@ Where a kernel does not fit (another device or type, gradients, no compiler), th
 
 from ptt.ops.native.kernels import available
 from ptt.ops.native.relight import eigen, expand, light_eigen, lighting, view
-from ptt.ops.native.rotation import local_light, quantised, reflected, resampled_light, rotated_light, rotates
+from ptt.ops.native.rotation import (
+    local_light,
+    quantised,
+    reflected,
+    resampled_light,
+    resampled_values,
+    rotated_light,
+    rotates,
+)
 from ptt.ops.native.shading import shade
 
 __all__ = [
@@ -18,6 +26,7 @@ __all__ = [
     "quantised",
     "reflected",
     "resampled_light",
+    "resampled_values",
     "rotated_light",
     "rotates",
     "shade",

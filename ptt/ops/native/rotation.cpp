@@ -59,6 +59,23 @@ extern "C" void ptt_local_light(const float *source, const int64_t *starts, cons
     });
 }
 
+// S applied without a transform: out (frames, 3, cells) in 16 bits, times 1 / scale; cells: a multiple of 16
+extern "C" void ptt_resampled_values(const float *source, const int64_t *starts, const int32_t *reads, Half *out,
+                                     int64_t frames, int64_t cells, float scale, int threads) {
+    in_parallel(frames, threads, [=](int64_t f) {
+        static thread_local std::vector<float> rows;
+        rows.resize(3 * cells);
+        const int64_t *start = starts + f * cells;
+        int64_t k = start[0];
+        for (int64_t cell = 0; cell < cells; ++cell) {
+            Four sum = {};
+            for (; k < start[cell + 1]; ++k) sum += (float)(reads[k] & 255) * four(source + (reads[k] >> 8) * 4);
+            for (int c = 0; c < 3; ++c) rows[c * cells + cell] = sum[c] * scale;
+        }
+        for (int64_t i = 0; i < 3 * cells; i += LANES) store(out + f * 3 * cells + i, load(rows.data() + i));
+    });
+}
+
 // frames (f, 3, 3); directions (3, m * m * each), of the samples of each cell, padded to whole vectors
 extern "C" void ptt_resampled_light(const float *source, const float *frames, const float *directions, float *out,
                                     int64_t count, int64_t m, int64_t each, int64_t padded, int64_t n, int threads) {

@@ -76,6 +76,20 @@ def resampled_light(coefficients: Tensor, frames: Tensor, target: Grid, samples:
     return out[..., : len(coefficients)]
 
 
+def resampled_values(values: Tensor, s: Resampling, cells: int) -> tuple[Tensor, float]:
+    """(f, c, cells) in float16 and its unit, as `ptt.ops.rotation.resampled_values`."""
+    fits = ready(values) and values.shape[1:] == (3,) and cells % ALIGNED == 0
+    kernels = library() if fits else None
+    if kernels is None:
+        return rotation.resampled_values(values, s, cells)
+    unit = rotation.unit_of(values)
+    frames = (len(s.starts) - 1) // cells
+    source, out = pad(values, (0, 1)).contiguous(), torch.empty(frames, 3, cells, dtype=torch.float16)
+    sizes = c_int64(frames), c_int64(cells), c_float(1 / (s.samples**2 * unit)), c_int(torch.get_num_threads())
+    kernels.ptt_resampled_values(*map(address, (source, s.starts, s.reads, out)), *sizes)
+    return out, unit
+
+
 def quantised(s: Resampling, n: int, m: int, unit: float, threshold: int) -> Quantised:
     """R in 16 bits, as `ptt.ops.rotation.quantised`, on all cores."""
     kernels = library()
