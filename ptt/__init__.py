@@ -9,6 +9,7 @@ ptt.render(scene, scene.camera, radiance).save("watch.png")
 
 from ptt import reference
 from ptt.assembly import assemble
+from ptt.atlas import Atlas
 from ptt.clustering import Clusters, cluster
 from ptt.compress import compress
 from ptt.environment import Environment
@@ -35,6 +36,7 @@ from ptt.tabulated import separate, tabulated
 __all__ = [
     "GGX",
     "MERL",
+    "Atlas",
     "BRDFBasis",
     "BRDFSpace",
     "Blend",

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from ptt.atlas import Atlas
 from ptt.environment import Environment
 from ptt.gbuffer import GBuffer
 from ptt.materials import Material, dressed
@@ -22,6 +23,7 @@ from ptt.ops.geodesic import Geodesic
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
 from ptt.ops.rotation import Resampling
 from ptt.ops.shade import Points, Tables
+from ptt.path_tracer import orthonormal
 from ptt.scene import Scene
 from ptt.shapes import Shape, carries_gradient, frozen
 
@@ -63,6 +65,7 @@ class TripleProductRelighter(nn.Module):
     views: along the edge of the hemi-octahedral map of view directions; 90 x 90 are as many as the paper's 128 x 64
     rays: along the edge of a triangle, for visibility, a power of two
     compiled: by kernels in C++
+    atlas: texels that hold visibility, for meshes too coarse for shadows; None for that of the vertices
     progress: a bar while visibility is traced
 
     Light, materials and view change apart from each other; results are kept for as long as what they were made from is
@@ -97,17 +100,18 @@ class TripleProductRelighter(nn.Module):
         views: int = 90,
         rays: int = 2,
         compiled: bool = True,
+        atlas: Atlas | None = None,
         progress: bool = False,
     ) -> None:
         super().__init__()
         for name, value, least, most in (("level", level, 0, 4), ("twists", twists, 1, 256), ("views", views, 1, 512)):
             if not least <= value <= most:
                 raise ValueError(f"{name} must be in {least}..{most}, got {value}")
-        self.scene, self.grid, self.compiled = scene, Geodesic(level), compiled
+        self.scene, self.atlas, self.grid, self.compiled = scene, atlas, Geodesic(level), compiled
         self.normals, self.twists, self.source, self.views = normals, twists, source, views
         own = rotation.frames_of(Octahedral(normals).directions().reshape(-1, 3))
         s = rotation.resampling(Octahedral(source), self.grid, turned(own, twists))
-        traced = _traced(scene, self.grid, rays, progress)
+        traced = _traced(scene, atlas, self.grid, rays, progress)
         tables = {"frames": own.float(), "starts": s.starts, "reads": s.reads, "visibility": traced}
         tables |= {"dull": local.cosine(self.grid)}
         tables |= dict(zip(("directions", "shares"), light_maps.samples(Octahedral(source)), strict=True))
@@ -156,12 +160,18 @@ class TripleProductRelighter(nn.Module):
 
     def _of_vertices(self) -> Shaded:
         scene, v = self.scene, len(self.scene.vertices)
-        seen = torch.arange(v, dtype=torch.int32)[None]
-        return self._shaded(scene.points, scene.frames, scene.colours, scene.vertex_region, seen, torch.ones(1, v))
+        seen, shares = torch.arange(v, dtype=torch.int32)[None], torch.ones(1, v)
+        if self.atlas is not None:
+            corner = torch.zeros(v, dtype=torch.int64)
+            corner[scene.faces.flatten()] = torch.arange(scene.faces.numel())
+            seen, shares = self.atlas.corners(corner // 3, nn.functional.one_hot(corner % 3, 3).float())
+        return self._shaded(scene.points, scene.frames, scene.colours, scene.vertex_region, seen, shares)
 
     def _of_pixels(self, pixels: GBuffer) -> Shaded:
-        seen = self.scene.faces[pixels.triangle].T.int().contiguous()
-        shares = pixels.barycentric.T.contiguous()
+        if self.atlas is None:
+            seen, shares = self.scene.faces[pixels.triangle].T.int().contiguous(), pixels.barycentric.T.contiguous()
+        else:
+            seen, shares = self.atlas.corners(pixels.triangle, pixels.barycentric)
         return self._shaded(pixels.positions, pixels.frames, pixels.colours, pixels.region, seen, shares)
 
     def _shaded(
@@ -206,11 +216,16 @@ def turned(frames: Tensor, twists: int) -> Tensor:
     return torch.einsum("tab,fbx->ftax", turns, frames).reshape(-1, 3, 3)
 
 
-def _traced(scene: Scene, grid: Geodesic, rays: int, progress: bool) -> Tensor:
-    """Visibility (v, n) uint8 of every vertex."""
+def _traced(scene: Scene, atlas: Atlas | None, grid: Geodesic, rays: int, progress: bool) -> Tensor:
+    """Visibility (v, n) uint8 of every vertex, or (t, n) of every texel in use."""
+    if atlas is None:
+        points, frames = scene.points, scene.frames
+    else:
+        points = atlas.mixed(scene, scene.vertices)
+        frames = orthonormal(atlas.mixed(scene, scene.normals), atlas.mixed(scene, scene.tangents))
     parts = []
-    with tqdm(total=len(scene.vertices), desc="visibility", unit=" vertices", disable=not progress) as bar:
-        for points, frames in zip(scene.points.split(BLOCK), scene.frames.split(BLOCK), strict=True):
-            parts.append(local.visibility(scene.surface, points, frames, grid, rays))
-            bar.update(len(points))
+    with tqdm(total=len(points), desc="visibility", unit=" points", disable=not progress) as bar:
+        for some, turned_to in zip(points.split(BLOCK), frames.split(BLOCK), strict=True):
+            parts.append(local.visibility(scene.surface, some, turned_to, grid, rays))
+            bar.update(len(some))
     return torch.cat(parts)
