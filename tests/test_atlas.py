@@ -70,6 +70,9 @@ def test_refuses(ball: ptt.Scene) -> None:
     uv = scene.uv[scene.faces]
     with pytest.raises(ValueError, match="must not overlap"):
         Atlas.of(scene, 16, uv[:1].expand(2, 3, 2))
+    with pytest.warns(UserWarning, match="texels show two triangles"):
+        corner = torch.tensor([[0.5, 0.5], [0.54, 0.5], [0.5, 0.54]])  # a sliver of the second over the first
+        Atlas.of(scene, 128, torch.stack((torch.tensor([[0.0, 0], [1, 0], [1, 1]]), corner)))
     with pytest.raises(ValueError, match=r"must lie in 0\.\.1: 2 triangles"):
         Atlas.of(scene, 16, uv + 0.5)
     with pytest.raises(ValueError, match=r"corner_uv must be finite \(2, 3, 2\)"):
