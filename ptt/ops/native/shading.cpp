@@ -38,6 +38,13 @@ struct Shade {
     int32_t lights, vertices, materials, threads;
 };
 
+constexpr int AHEAD = 8;  // points whose visibility is fetched
+constexpr int LINE = 64;  // bytes that memory gives at a time
+
+static inline void fetch(const uint8_t *row, int64_t bytes) {
+    for (int64_t i = 0; i < bytes; i += LINE) __builtin_prefetch(row + i);
+}
+
 // Of R points from p on that have the same K frames, so that their light is read once; J rows of visibility, I materials.
 template <int R, int K, int J, int I>
 static void shade(const Shade &g, int64_t p) {
@@ -81,6 +88,8 @@ static void shade(const Shade &g, int64_t p) {
 template <int K, int J, int I>
 static void shade_all(const Shade &g, int64_t first, int64_t end) {
     for (int64_t p = first; p < end;) {
+        for (int64_t later = p + AHEAD; later < std::min(p + AHEAD + 2, g.points); ++later)
+            for (int j = 0; j < J; ++j) fetch(g.visibility + (int64_t)g.seen[j * g.points + later] * g.n, g.n);
         bool alike = K <= 4 && p + 1 < end;  // for eight there are not enough registers
         for (int k = 0; k < K && alike; ++k) alike = g.frames[k * g.points + p] == g.frames[k * g.points + p + 1];
         if (alike) shade<2, K, J, I>(g, p), p += 2;
