@@ -320,7 +320,7 @@ def cuts(table: Table, bodies: Sequence[Body], light: ptt.Environment, n: int) -
                     relighter = ptt.EnvMapRelighter(bodies[0].scene, rotate, terms=value)
                 else:
                     relighter = ptt.EnvMapRelighter(bodies[0].scene, rotate, rank=value)
-                cut = relighter._slices(shape)
+                cut = relighter._cut(shape, torch.device("cpu"))
                 seconds, what = time.perf_counter() - start, f"slices, {material}, {kind} {value}"
                 table.row(f"{what}, size", cut.bytes / 1e6, "MB", f"128 x 128 views; made in {seconds:.2f} s")
                 error = bodies[0].error(relighter, light, material)

@@ -67,8 +67,7 @@ class Atlas:
 
     def mixed(self, scene: Scene, values: Tensor) -> Tensor:
         """Values (t, ...) at the texels in use of those at the scene's vertices (v, ...)."""
-        corners = values[scene.faces[self.triangle]]
-        return torch.einsum("tk,tk...->t...", self.barycentric.to(values), corners)
+        return scene.interpolated(values, self.triangle, self.barycentric)
 
     def corners(self, triangle: Tensor, barycentric: Tensor) -> tuple[Tensor, Tensor]:
         """Texels in use (4, p) int32 and weights (4, p) of a bilinear lookup at points of triangles (p,).

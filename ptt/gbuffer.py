@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 from ptt.environment import Environment
@@ -45,10 +44,9 @@ class GBuffer:
         hits = scene.surface.first_hit(eye.expand(camera.width * camera.height, 3), directions.reshape(-1, 3))
         pixel = hits.front.nonzero()[:, 0]
         triangle, barycentric = hits.triangle[pixel], hits.barycentric[pixel]
-        corners = scene.faces[triangle]
 
         def mixed(values: Tensor) -> Tensor:
-            return torch.einsum("pk,pkx->px", barycentric, values[corners])
+            return scene.interpolated(values, triangle, barycentric)
 
         return cls(
             camera,
@@ -65,7 +63,7 @@ class GBuffer:
 
     def interpolated(self, scene: Scene, values: Tensor) -> Tensor:
         """Values (p, ...) of those at the scene's vertices (v, ...)."""
-        return torch.einsum("pk,pk...->p...", self.barycentric.to(values), values[scene.faces[self.triangle]])
+        return scene.interpolated(values, self.triangle, self.barycentric)
 
     def image(self, radiance: Tensor, environment: Environment | None = None) -> Image:
         """The picture of radiance (p, 3), the environment behind it; black without one.

@@ -245,6 +245,10 @@ class Scene:
             raise ValueError(f"no region {name!r}; the scene has {', '.join(names)}")
         return names.index(name)
 
+    def interpolated(self, values: Tensor, triangle: Tensor, barycentric: Tensor) -> Tensor:
+        """Values (n, ...) inside triangles (n,), at barycentric (n, 3), of those at the vertices (v, ...)."""
+        return torch.einsum("nk,nk...->n...", barycentric.to(values), values[self.faces[triangle]])
+
     def albedo(self, triangle: Tensor, barycentric: Tensor) -> Tensor:
         """Linear base colour (n, 3) at hits: triangle (n,) index into faces, barycentric (n, 3).
 

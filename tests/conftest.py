@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 
 import pytest
 import torch
 
 import ptt
+from ptt.ops import native
 
 
 @pytest.fixture(scope="session")
@@ -65,3 +67,12 @@ def glossy() -> tuple[ptt.TensorBRDF, ptt.BRDFBasis]:
 def clustered_model(small_bounced: ptt.RawTransfer, glossy: tuple[ptt.TensorBRDF, ptt.BRDFBasis]) -> ptt.TransferModel:
     """Two bounces and lobes; clusters of about 60 points with 8 eigen-points each; in float32, as exact as it gets."""
     return ptt.compress(small_bounced, 64, *glossy, ptt.Clusters(60, 8, 32, 128, torch.float32))
+
+
+@pytest.fixture
+def built() -> None:
+    """For tests of the kernels: skipped where they cannot be built."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if not native.available():
+            pytest.skip("no C++ compiler")

@@ -73,14 +73,6 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return made
 
 
-@pytest.fixture
-def built() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        if not native.available():
-            pytest.skip("no C++ compiler")
-
-
 def agree(x: Inputs, calls: list[int]) -> None:
     got = native.view(*x)
     assert not calls  # by the kernel

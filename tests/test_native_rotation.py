@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-
 import pytest
 import torch
 from torch import Tensor
@@ -15,15 +13,8 @@ from ptt.ops.octahedral import HemiOctahedral, Octahedral
 from ptt.ops.slices import Located, Slices
 from ptt.shapes import BlinnPhong, Ward
 
+pytestmark = pytest.mark.usefixtures("built")
 TIGHT = {"rtol": 0, "atol": 2e-6}
-
-
-@pytest.fixture(autouse=True)
-def built() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        if not native.available():
-            pytest.skip("no C++ compiler")
 
 
 def frames_for(count: int) -> Tensor:

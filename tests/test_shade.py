@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-
 import pytest
 import torch
 from torch import Tensor
@@ -41,14 +39,6 @@ def test_the_sum_written_out() -> None:
                 f += sum(float(at.specular[i, p, c] * tables.glossy[at.view[i, p], t]) for i in range(2))
                 total += light * seen * f
             assert float(got[p, c]) == pytest.approx(2.5 * total, rel=1e-5)  # 20 / n = 1
-
-
-@pytest.fixture
-def built() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        if not native.available():
-            pytest.skip("no C++ compiler")
 
 
 @pytest.mark.parametrize("n", [80, 320])

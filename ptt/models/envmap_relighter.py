@@ -17,15 +17,15 @@ from ptt.models import light_maps
 from ptt.models.cache import Cache, watched
 from ptt.models.light_maps import LightMaps
 from ptt.models.light_rotation import LightRotation
+from ptt.models.shape_tables import ShapeTables
 from ptt.models.viewing import View, toward
 from ptt.ops import haar, native, relight, slices
 from ptt.ops.octahedral import Octahedral, mix
 from ptt.ops.slices import ALIGNED, Located, Slices
 from ptt.scene import Scene
-from ptt.shapes import Shape, carries_gradient, frozen
+from ptt.shapes import Shape
 
 TERMS = 96
-REMEMBERED = 8  # shapes whose slices are kept
 CHANNELS = 4  # of local light: colours and a zero, which aligns them
 
 
@@ -140,7 +140,7 @@ class EnvMapRelighter(nn.Module):
         surface = Surface(scene.points, scene.frames, scene.colours, shade)
         self.vertices = nn.ModuleList(self._placed(surface, scene.vertex_region))
         self._fine, self._incident, self._exitant, self._pixels = Cache(), Cache(), Cache(), Cache()
-        self._cut: dict[object, Slices] = {}
+        self._cut = ShapeTables(self._slices)
 
     def forward(self, environment: Environment, materials: Mapping[str, Material], view: View | GBuffer) -> Tensor:
         """Radiance (v, 3) of every vertex, or (p, 3) of every pixel of a `GBuffer`, toward the viewer.
@@ -208,7 +208,7 @@ class EnvMapRelighter(nn.Module):
         at = part.at
         irradiance = mix(lit.irradiance, at.near.T.long(), at.weights.T)[:, :3]
         diffuse = material.diffuse.to(irradiance) / math.pi * part.colour * part.occlusion * irradiance
-        cut = None if material.shape is None else self._slices(material.shape)
+        cut = self._cut(material.shape, self.cosine.device)
         light = lit.local if cut is None else slices.project(lit.local, cut)
         return Sent(light, cut, diffuse, material.specular.to(diffuse) * part.occlusion)
 
@@ -224,19 +224,13 @@ class EnvMapRelighter(nn.Module):
         )
         return torch.addcmul(sent.diffuse, sent.specular, reflected[:, :3])
 
-    def _slices(self, shape: Shape) -> Slices:
-        """Of a shape, with its parameters as they are now; the last few are remembered."""
-        if torch.is_grad_enabled() and carries_gradient(shape):
-            raise ValueError("shapes carry no gradients here: detach the parameters, or use TransferRelighter")
-        key = frozen(shape), self.cosine.device
-        if key not in self._cut:
-            while len(self._cut) >= REMEMBERED:
-                self._cut.pop(next(iter(self._cut)))
-            m, twists = self.rotation.m, 1 if shape.isotropic else self.twists
-            make = slices.tabulate if self.rank is None else slices.factorise
-            kept = self.terms if self.rank is None else self.rank
-            self._cut[key] = make(shape.evaluate, m, self.views, kept, twists).to(self.cosine.device)
-        return self._cut[key]
+    def _slices(self, shape: Shape | None) -> Slices | None:
+        if shape is None:
+            return None
+        m, twists = self.rotation.m, 1 if shape.isotropic else self.twists
+        make = slices.tabulate if self.rank is None else slices.factorise
+        kept = self.terms if self.rank is None else self.rank
+        return make(shape.evaluate, m, self.views, kept, twists).to(self.cosine.device)
 
 
 def _check(

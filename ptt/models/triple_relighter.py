@@ -17,6 +17,7 @@ from ptt.materials import Material, dressed
 from ptt.models import light_maps
 from ptt.models.cache import Cache, watched
 from ptt.models.light_maps import LightMaps
+from ptt.models.shape_tables import ShapeTables
 from ptt.models.viewing import View, toward
 from ptt.ops import haar, local, native, relight, rotation, shade, slices
 from ptt.ops.geodesic import Geodesic
@@ -25,10 +26,9 @@ from ptt.ops.rotation import Resampling
 from ptt.ops.shade import Points, Tables
 from ptt.path_tracer import orthonormal
 from ptt.scene import Scene
-from ptt.shapes import Shape, carries_gradient, frozen
+from ptt.shapes import Shape
 
 BLOCK = 2048  # points whose visibility is traced at once
-REMEMBERED = 8  # shapes whose tables are kept
 
 
 class Rotated(NamedTuple):
@@ -118,7 +118,7 @@ class TripleProductRelighter(nn.Module):
         for name, tensor in tables.items():
             self.register_buffer(name, tensor)
         self._fine, self._light, self._placed, self._pixels, self._points = (Cache() for _ in range(5))
-        self._tables: dict[object, Tensor] = {}
+        self._tables, self._glossy = ShapeTables(self._table), Cache()
 
     def forward(self, environment: Environment, materials: Mapping[str, Material], view: View | GBuffer) -> Tensor:
         """Radiance (v, 3) of every vertex, or (p, 3) of every pixel of a `GBuffer`, toward the viewer.
@@ -137,10 +137,11 @@ class TripleProductRelighter(nn.Module):
             at = self._placed(watched(self), self._of_vertices)
             eye = toward(view, at.positions)
         rotated = self.incident(environment)
-        glossy = torch.cat([self._table(m.shape) for m in own])
+        tables = [self._tables(m.shape, self.dull.device) for m in own]
+        glossy: Tensor = self._glossy(tables, lambda: torch.cat(tables))
         points: Points = self._points((at, eye, own), lambda: self._dressed(at, eye, own))
-        tables = Tables(rotated.light, rotated.unit, self.visibility, self.dull, glossy)
-        radiance: Tensor = (native if self.compiled else shade).shade(tables, points)
+        functions = Tables(rotated.light, rotated.unit, self.visibility, self.dull, glossy)
+        radiance: Tensor = (native if self.compiled else shade).shade(functions, points)
         return radiance
 
     def incident(self, environment: Environment) -> Rotated:
@@ -194,18 +195,11 @@ class TripleProductRelighter(nn.Module):
         return Points(at.near, at.weights, at.seen, at.shares, view, specular[None], diffuse * at.colours)
 
     def _table(self, shape: Shape | None) -> Tensor:
-        """F (o, n) of a shape in float16, with its parameters as they are now; the last few are remembered."""
-        if shape is not None and torch.is_grad_enabled() and carries_gradient(shape):
-            raise ValueError("shapes carry no gradients here: detach the parameters, or use TransferRelighter")
-        key = None if shape is None else frozen(shape), self.dull.device
-        if key not in self._tables:
-            while len(self._tables) >= REMEMBERED:
-                self._tables.pop(next(iter(self._tables)))
-            wo = HemiOctahedral(self.views).directions().reshape(-1, 3)
-            black = torch.zeros(len(wo), self.grid.cells)
-            table = black if shape is None else local.brdf(shape.evaluate, self.grid, wo)
-            self._tables[key] = table.half().to(self.dull.device)
-        return self._tables[key]
+        """F (o, n) of a shape in float16."""
+        wo = HemiOctahedral(self.views).directions().reshape(-1, 3)
+        black = torch.zeros(len(wo), self.grid.cells)
+        table = black if shape is None else local.brdf(shape.evaluate, self.grid, wo)
+        return table.half().to(self.dull.device)
 
 
 def turned(frames: Tensor, twists: int) -> Tensor:

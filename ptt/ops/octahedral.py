@@ -26,7 +26,16 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor
 
-from ptt.ops.sphere import Squares, at_least_one, centres, checked_directions, crossed, step_index, unit
+from ptt.ops.sphere import (
+    Squares,
+    at_least_one,
+    centres,
+    checked_directions,
+    crossed,
+    step_index,
+    triangle_solid_angles,
+    unit,
+)
 
 TILE = 4  # cells along the edge of a tile
 
@@ -99,7 +108,7 @@ class _Unfolded(Squares):
         # p . (q x r) is twice a triangle's area in the plane of x and y, as |x| + |y| + |z| = 1: no cancellation
         volume = self._scale / 2 * b.diff()[:, None] * a.diff()
         sides = zip(around, (*around[1:], around[0]), strict=True)
-        return torch.stack([_triangle(centre, p, q, volume) for p, q in sides]).sum(0)
+        return torch.stack([triangle_solid_angles(centre, p, q, volume) for p, q in sides]).sum(0)
 
 
 @dataclass(frozen=True)
@@ -154,13 +163,6 @@ def _folded(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
     """(x, y), turned about the diamond's side |x| + |y| = 1 where z < 0; its own inverse."""
     turned_x, turned_y = (1 - y.abs()).copysign(x), (1 - x.abs()).copysign(y)
     return torch.where(z < 0, turned_x, x), torch.where(z < 0, turned_y, y)
-
-
-def _triangle(p: Tensor, q: Tensor, r: Tensor, volume: Tensor) -> Tensor:
-    """Solid angle of the triangle p, q, r with |p . (q x r)| = volume, by Van Oosterom and Strackee."""
-    lp, lq, lr = p.norm(dim=-1), q.norm(dim=-1), r.norm(dim=-1)
-    pq, qr, rp = (p * q).sum(-1), (q * r).sum(-1), (r * p).sum(-1)
-    return 2 * torch.atan2(volume, lp * lq * lr + pq * lr + qr * lp + rp * lq)
 
 
 def mix(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:

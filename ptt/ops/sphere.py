@@ -278,10 +278,16 @@ class Disk(Squares):
         return _within_circle(_mixed_difference(corner), 2 * rows - 1, 2 * columns - 1)
 
 
-def triangle_solid_angles(p: Tensor, q: Tensor, r: Tensor) -> Tensor:
-    """Solid angles (...) [sr] of spherical triangles, corners (..., 3) unit, by Van Oosterom and Strackee."""
-    volume = (p * torch.linalg.cross(q, r)).sum(-1).abs()
-    return 2 * torch.atan2(volume, 1 + (p * q).sum(-1) + (q * r).sum(-1) + (r * p).sum(-1))
+def triangle_solid_angles(p: Tensor, q: Tensor, r: Tensor, volume: Tensor | None = None) -> Tensor:
+    """Solid angles (...) [sr] of triangles with corners (..., 3), by Van Oosterom and Strackee.
+
+    volume (...): |p . (q x r)|, where it is known without cancellation
+    """
+    if volume is None:
+        volume = (p * torch.linalg.cross(q, r)).sum(-1).abs()
+    lp, lq, lr = p.norm(dim=-1), q.norm(dim=-1), r.norm(dim=-1)
+    pq, qr, rp = (p * q).sum(-1), (q * r).sum(-1), (r * p).sum(-1)
+    return 2 * torch.atan2(volume, lp * lq * lr + pq * lr + qr * lp + rp * lq)
 
 
 def turn(axis: int, degrees: float) -> Tensor:

@@ -132,7 +132,7 @@ def reflected(light: Tensor, cut: Slices, first: Tensor, frames: Tensor, at: Loc
     if kernels is None:
         return slices.reflected(light, cut, first, frames, at, eye)
     v, channels = at.position.shape[1], light.shape[2]
-    light = pad(light, (0, CHANNELS - channels)).contiguous()
+    light = (light if channels == CHANNELS else pad(light, (0, CHANNELS - channels))).contiguous()  # pad copies
     tensors = {"light": light, "eye": eye.contiguous(), "first": first, "out": light.new_empty(v, CHANNELS)}
     tensors |= {name: getattr(at, name) for name in ("position", "normal", "weights", "near")}
     tensors |= {"frames": frames.contiguous(), "terms": cut.terms, "values": cut.values}
