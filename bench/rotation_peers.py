@@ -18,7 +18,7 @@ from ptt.ops.octahedral import HemiOctahedral, Octahedral
 from ptt.ops.rotation import Quantised, Resampling
 
 if TYPE_CHECKING:
-    from bench.rotation import Body
+    from bench.rotation_errors import Body
 
 ORDERS = (6, 8, 12, 16, 20, 24, 28, 32, 40, 48, 56, 64)
 
