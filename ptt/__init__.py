@@ -15,7 +15,7 @@ from ptt.compress import compress
 from ptt.environment import Environment
 from ptt.gbuffer import GBuffer
 from ptt.hidden import without_hidden
-from ptt.materials import Material, blinn_phong, cook_torrance, ggx, lambert, ward
+from ptt.materials import Material, Mixed, blinn_phong, cook_torrance, ggx, lambert, ward
 from ptt.measured import MERL, NeuralBRDF
 from ptt.metrics import relative_rmse
 from ptt.models.brdf_basis import BRDFBasis
@@ -50,6 +50,7 @@ __all__ = [
     "Image",
     "LightRotation",
     "Material",
+    "Mixed",
     "Named",
     "NeuralBRDF",
     "RawTransfer",

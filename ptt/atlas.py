@@ -69,21 +69,6 @@ class Atlas:
         """Values (t, ...) at the texels in use of those at the scene's vertices (v, ...)."""
         return scene.interpolated(values, self.triangle, self.barycentric)
 
-    def corners(self, triangle: Tensor, barycentric: Tensor) -> tuple[Tensor, Tensor]:
-        """Texels in use (4, p) int32 and weights (4, p) of a bilinear lookup at points of triangles (p,).
-
-        barycentric (p, 3): where in their triangles
-        """
-        uv = (self.corner_uv[triangle] * barycentric[..., None].to(self.corner_uv)).sum(1)
-        position = uv * self.size - 0.5
-        first = position.floor()
-        a, b = (position - first).unbind(1)
-        column, row = first.long().unbind(1)
-        columns = torch.stack((column, column + 1, column, column + 1)).clamp(0, self.size - 1)
-        rows = torch.stack((row, row, row + 1, row + 1)).clamp(0, self.size - 1)
-        weights = torch.stack(((1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b))
-        return self.rows[rows * self.size + columns], weights
-
 
 def unwrapped(scene: Scene, size: int) -> Tensor:
     """(f, 3, 2) in 0..1: charts by xatlas, packed for so many texels, without overlap."""

@@ -6,14 +6,18 @@ import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import torch
 from torch import Tensor
 
 from ptt import shapes
 from ptt.ops import brdf
+from ptt.ops.mesh import sample_texture
 from ptt.shapes import GGX, BlinnPhong, CookTorrance, Number, Shape, Ward, check
+
+if TYPE_CHECKING:
+    from ptt.scene import Scene
 
 Colour = float | Sequence[float] | Tensor
 
@@ -52,6 +56,42 @@ class Material:
         return value
 
 
+@dataclass(frozen=True, eq=False)
+class Mixed:
+    """Two materials on one surface, (1 - share) first + share second, for shading per pixel (Ma et al. 2006, 4.2).
+
+    share: 0..1; (h, w), a texture by the scene's uv, or (v,), of the scene's vertices and interpolated
+
+    Raises:
+        ValueError: share has another shape or is out of its range.
+    """
+
+    first: Material
+    second: Material
+    share: Tensor
+
+    def __post_init__(self) -> None:
+        if self.share.ndim not in (1, 2) or not self.share.numel():
+            raise ValueError(f"share must be a texture (h, w) or of the vertices (v,), got {tuple(self.share.shape)}")
+        check("share", self.share, 0.0, 1.0)
+
+    def at(self, scene: Scene, triangle: Tensor, barycentric: Tensor) -> Tensor:
+        """The share (n,) inside triangles (n,), at barycentric (n, 3).
+
+        Raises:
+            ValueError: a texture for a scene without uv, or a share of another number of vertices.
+        """
+        if self.share.ndim == 2:
+            if scene.uv is None:
+                raise ValueError("share (h, w) needs a scene with uv: give (v,), of the vertices, instead")
+            return sample_texture(self.share[..., None], scene.interpolated(scene.uv, triangle, barycentric))[:, 0]
+        if len(self.share) != len(scene.vertices):
+            raise ValueError(
+                f"share must have {len(scene.vertices)} values, the scene's vertices, got {len(self.share)}"
+            )
+        return scene.interpolated(self.share, triangle, barycentric)
+
+
 def lambert(diffuse: Colour = 0.5) -> Material:
     """A matt material of the given albedo."""
     return Material(diffuse)
@@ -77,16 +117,26 @@ def ggx(diffuse: Colour = 0.5, specular: Colour = 1.0, f0: Number = 0.04, roughn
     return Material(diffuse, specular, GGX(f0, roughness))
 
 
-def dressed(own: Mapping[str, Material], given: Mapping[str, Material]) -> dict[str, Material]:
+@overload
+def dressed(own: Mapping[str, Material], given: Mapping[str, Material]) -> dict[str, Material]: ...
+@overload
+def dressed(
+    own: Mapping[str, Material], given: Mapping[str, Material | Mixed], mixed: Literal[True]
+) -> dict[str, Material | Mixed]: ...
+def dressed(own: Mapping[str, Any], given: Mapping[str, Any], mixed: bool = False) -> dict[str, Any]:
     """The materials of every region, in their order: the given ones, else its own.
+
+    mixed: whether a region may have two
 
     Raises:
         ValueError: a region that there is not, or what is no material.
     """
+    kinds = (Material, Mixed) if mixed else (Material,)
     if unknown := [name for name in given if name not in own]:
         raise ValueError(f"no region {', '.join(unknown)}; there are {', '.join(own)}")
-    if wrong := [name for name, material in given.items() if not isinstance(material, Material)]:
-        raise ValueError(f"materials must map regions to ptt.Material, got {type(given[wrong[0]]).__name__}")
+    if wrong := [name for name, material in given.items() if not isinstance(material, kinds)]:
+        expected = " or ".join(f"ptt.{kind.__name__}" for kind in kinds)
+        raise ValueError(f"materials must map regions to {expected}, got {type(given[wrong[0]]).__name__}")
     return {name: given.get(name, material) for name, material in own.items()}
 
 

@@ -47,18 +47,20 @@ def test_resampled_light(n: int, m: int, samples: int) -> None:
     assert float(off.max()) <= 2 / samples**2
 
 
-@pytest.mark.parametrize("level", [1, 2])
-def test_resampled_values(level: int) -> None:
-    """In 16 bits: to half a unit in the last place of the largest."""
+@pytest.mark.parametrize("level", [0, 1, 2])
+@pytest.mark.parametrize("storage", [torch.float32, torch.float16, torch.uint8], ids=str)
+def test_resampled_values(level: int, storage: torch.dtype) -> None:
+    """The same table but for ties of its rounding, whose last place counts as one."""
     grid = Geodesic(level)
     s = rotation.resampling(Octahedral(16), grid, frames_for(5))
     values = 1e9 * torch.rand(256, 3, generator=torch.Generator().manual_seed(0)) ** 8
-    got, unit = native.resampled_values(values, s, grid.cells)
-    wanted, same = rotation.resampled_values(values, s, grid.cells)
-    assert got.shape == (5, 3, grid.cells) and unit == same and bool(got.isfinite().all())
-    torch.testing.assert_close(got.float(), wanted.float(), rtol=1e-3, atol=1e-3)
-    exact = rotation.resample(values.double(), s).reshape(5, grid.cells, 3).transpose(1, 2)
-    torch.testing.assert_close(got.double() * unit, exact, rtol=1e-3, atol=1.0)
+    got = native.resampled_values(values, s, grid.cells, storage)
+    wanted = rotation.resampled_values(values, s, grid.cells, storage)
+    assert got.values.shape == (5, 3, grid.cells) and got.values.dtype == storage
+    torch.testing.assert_close(got.scale, wanted.scale, rtol=1e-6, atol=0)
+    last = {torch.float32: 1e-6, torch.float16: 2**-10, torch.uint8: 1 / 255}[storage]
+    largest = wanted.to_dense().amax((1, 2), keepdim=True)
+    assert bool(((got.to_dense() - wanted.to_dense()).abs() <= 1.01 * last * largest).all())
 
 
 @pytest.mark.parametrize(("n", "m"), [(2, 1), (16, 8), (8, 16)])

@@ -123,7 +123,9 @@ def test_gradients(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter
 
 def test_refuses(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) -> None:
     for arguments, message in (
-        ({"level": 5}, r"level must be in 0\.\.4"),
+        ({"level": 8}, r"level must be in 0\.\.7"),
+        ({"level": 6}, "81920 triangles take 8.9 GB|81920 triangles take"),
+        ({"storage": "4-bit"}, "storage must be one of float, 16-bit, 8-bit"),
         ({"twists": 0}, r"twists must be in 1\.\.256"),
         ({"views": 0}, r"views must be in 1\.\.512"),
         ({"normals": 3}, "n must be even"),

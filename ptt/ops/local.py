@@ -17,9 +17,11 @@ import torch
 from torch import Tensor
 
 from ptt.ops.geodesic import ROOTS, Geodesic
+from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.raycast import Surface
 
 BYTE = 255
+MIDDLE = 1e-9  # of the sphere: nearer, a direction is its own mirror image
 _RAYS = 1 << 20  # a block
 _VALUES = 1 << 22
 
@@ -62,6 +64,24 @@ def brdf(f: Callable[[Tensor, Tensor], Tensor], grid: Geodesic, wo: Tensor, samp
             raise ValueError("the BRDF must be finite")
         parts.append(torch.zeros(len(some), grid.cells).index_add_(1, owner, values))
     return torch.cat(parts)
+
+
+def brdf_table(
+    f: Callable[[Tensor, Tensor], Tensor], grid: Geodesic, views: int, isotropic: bool, samples: int = 4
+) -> Tensor:
+    """F (views^2, n) of a BRDF for all directions of `HemiOctahedral(views)`.
+
+    isotropic: only a quarter of them is sampled; the rest are its mirror images in x and y, as the grid's triangles are
+    """
+    wo = HemiOctahedral(views).directions().reshape(-1, 3)
+    if not isotropic:
+        return brdf(f, grid, wo, samples)
+    quarter = ((wo[:, 0] > -MIDDLE) & (wo[:, 1] > -MIDDLE)).nonzero()[:, 0]
+    found, table = brdf(f, grid, wo[quarter], samples), torch.empty(len(wo), grid.cells)
+    for x, y in ((1, 1), (-1, 1), (1, -1), (-1, -1)):
+        flip = torch.tensor([x, y, 1], dtype=torch.float64)
+        table[HemiOctahedral(views).cell(wo[quarter] * flip)] = found[:, grid.cell(grid.directions() * flip)]
+    return table
 
 
 def cosine(grid: Geodesic, samples: int = 8) -> Tensor:

@@ -36,6 +36,7 @@ from torch import Tensor
 from ptt.ops import haar
 from ptt.ops.octahedral import Octahedral, mix
 from ptt.ops.sphere import Grid
+from ptt.ops.table import Table, stored
 
 SAMPLES = 4  # along the edge of a target's cell
 _LOOKUPS = 1 << 20  # a block
@@ -122,21 +123,9 @@ def resample(values: Tensor, s: Resampling) -> Tensor:
     )
 
 
-def resampled_values(values: Tensor, s: Resampling, cells: int) -> tuple[Tensor, float]:
-    """Local maps (f, c, cells) of a source's values (N, c), times 1 / unit, in float16; and the unit.
-
-    With gradients, and of float64 values, in their own type, and the unit is 1.
-    """
-    local = resample(values, s).reshape(-1, cells, values.shape[1]).transpose(1, 2)
-    if values.dtype != torch.float32 or (torch.is_grad_enabled() and values.requires_grad):
-        return local, 1.0
-    unit = unit_of(values)
-    return (local / unit).half(), unit
-
-
-def unit_of(values: Tensor) -> float:
-    """What the largest of values, and so the largest mean of some, is divided by to fit into float16."""
-    return max(float(values.detach().abs().max()), 1e-30) / 6e4
+def resampled_values(values: Tensor, s: Resampling, cells: int, storage: torch.dtype = torch.float16) -> Table:
+    """Local maps (f, c, cells) of a source's values (N, c), as `ops.table.stored` keeps them."""
+    return stored(resample(values, s).reshape(-1, cells, values.shape[1]).transpose(1, 2), storage)
 
 
 def rotate(

@@ -1,10 +1,13 @@
 """Shading by triple products on the triangles of a level (Ma et al. 2006, sections 3.3 and 4.2).
 
-    B[p, c] = 20 / n sum over t of  L[p, c, t] V[p, t] (D[p, c] F_0[t] + sum over i of  S[i, p, c] F[view[i, p], t])
+    B[p, c] = 20 / n sum over t of  L[p, c, t] V[p, t] F[p, c, t]
+    F[p, c] = sum over i of  a[i, p] (D[i, r, c] colour[p, c] F_0 + S[i, r, c] G[i, p])
 
 The three functions are interpolated at every point, and then multiplied: L between the frames that light was rotated
-into, V between vertices or texels; F is looked up. F_0 is Lambert's BRDF, D the diffuse colour, S the specular weights
-of the materials that are mixed. All in the frame of the point (`ops.local`).
+into, V between vertices or texels, G, the specular BRDF, between directions of view. F_0 is Lambert's BRDF; D and S are
+the weights of the region r of the point, which may have two materials (i), a[1, p] of the second.
+
+All in the frame of the point (`ops.local`), n values for each function: a level of `ops.geodesic`.
 """
 
 from __future__ import annotations
@@ -15,55 +18,75 @@ import torch
 from torch import Tensor
 
 from ptt.ops.geodesic import ROOTS
+from ptt.ops.near import Near
+from ptt.ops.table import Table
 
 BYTE = 255.0
 _VALUES = 1 << 24  # a block
 
 
-class Tables(NamedTuple):
-    """Functions on n triangles.
+class Functions(NamedTuple):
+    """On n triangles.
 
-    light (f, c, n): in every frame, float32 or float16, times the unit
-    unit: so that float16 holds a sun
+    light: (f, c, n), in every frame that it was rotated into
     visibility (v, n) uint8, of 255
-    dull (n,), glossy (o, n): F_0, and F of every material and direction of view, float32 or float16
+    dull (n,): F_0
+    glossy: (s * o, n), of every shape and direction of view
     """
 
-    light: Tensor
-    unit: float
+    light: Table
     visibility: Tensor
     dull: Tensor
-    glossy: Tensor
+    glossy: Table
+
+
+class Coats(NamedTuple):
+    """What r regions are coated with, i of them (1 or 2) on each.
+
+    diffuse, specular (i, r, c)
+    first (i, r) int32: the row of `glossy` where the shape begins
+    """
+
+    diffuse: Tensor
+    specular: Tensor
+    first: Tensor
 
 
 class Points(NamedTuple):
-    """Where the functions of p points are found.
+    """p points.
 
-    frames (k, p) int32, weights (k, p): of the light
-    seen (j, p) int32, shares (j, p): of the visibility
-    view (i, p) int32, specular (i, p, c): of the glossy BRDFs
-    diffuse (p, c)
+    light, seen, view: where their light, visibility and BRDF are found; the rows of `view` are those of the first shape
+    region (p,) int32, colour (p, c): the base colour; second (p,): how much of the region's second coat
     """
 
-    frames: Tensor
-    weights: Tensor
-    seen: Tensor
-    shares: Tensor
-    view: Tensor
-    specular: Tensor
-    diffuse: Tensor
+    light: Near
+    seen: Near
+    view: Near
+    region: Tensor
+    colour: Tensor
+    second: Tensor
+
+    def part(self, first: int, end: int) -> Points:
+        """Points first..end-1."""
+        light, seen, view = (Near(*(x[first:end] for x in near)) for near in self[:3])
+        return Points(light, seen, view, *(x[first:end] for x in self[3:]))
 
 
-def shade(tables: Tables, at: Points) -> Tensor:
+def shade(functions: Functions, coats: Coats, at: Points) -> Tensor:
     """B (p, c); differentiable in the light, the weights and the colours."""
-    n, count = tables.dull.shape[0], at.diffuse.shape[0]
-    step, parts = max(1, _VALUES // (n * 8)), []
-    for first in range(0, count, step):
-        some = Points(*(x[first : first + step] if x is at.diffuse else x[:, first : first + step] for x in at))
-        dtype = some.diffuse.dtype
-        seen = torch.einsum("jp,jpt->pt", some.shares, tables.visibility[some.seen].to(dtype) / BYTE)
-        glossy = torch.einsum("ipc,ipt->pct", some.specular, tables.glossy[some.view].to(dtype))
-        factor = (glossy + some.diffuse[..., None] * tables.dull.to(dtype)) * seen[:, None]
-        light = torch.einsum("kp,kpct->pct", some.weights, tables.light[some.frames].to(dtype))
-        parts.append((light * factor).sum(2) * (tables.unit * ROOTS / n))
-    return torch.cat(parts)
+    n, count = functions.dull.shape[0], len(at.region)
+    step = max(1, _VALUES // (n * 8))
+    return torch.cat([_shaded(functions, coats, at.part(k, k + step)) for k in range(0, max(1, count), step)])
+
+
+def _shaded(functions: Functions, coats: Coats, at: Points) -> Tensor:
+    light, visibility, dull, glossy = functions
+    region, factor = at.region.long(), torch.zeros(())
+    for i, (diffuse, specular, first) in enumerate(zip(*coats, strict=True)):
+        share = at.second if i else 1 - at.second if len(coats.first) == 2 else torch.ones_like(at.second)
+        mirrored = at.view.mix(glossy.at(at.view.rows + first[region][:, None]))[:, None]
+        coat = (diffuse[region] * at.colour)[..., None] * dull + specular[region][..., None] * mirrored
+        factor = factor.to(coat) + share[:, None, None] * coat
+    visible = at.seen.mix(visibility[at.seen.rows].to(dull) / BYTE)[:, None]
+    products: Tensor = at.light.mix(light.at(at.light.rows)) * visible * factor
+    return products.sum(2) * (ROOTS / len(dull))

@@ -4,6 +4,7 @@ Where a kernel does not fit (another device or type, gradients, no compiler), th
 """
 
 from ptt.ops.native.kernels import available
+from ptt.ops.native.near import of_frames, of_texels, of_views
 from ptt.ops.native.relight import eigen, expand, light_eigen, lighting, view
 from ptt.ops.native.rotation import (
     local_light,
@@ -23,6 +24,9 @@ __all__ = [
     "light_eigen",
     "lighting",
     "local_light",
+    "of_frames",
+    "of_texels",
+    "of_views",
     "quantised",
     "reflected",
     "resampled_light",

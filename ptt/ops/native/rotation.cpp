@@ -59,20 +59,43 @@ extern "C" void ptt_local_light(const float *source, const int64_t *starts, cons
     });
 }
 
-// S applied without a transform: out (frames, 3, cells) in 16 bits, times 1 / scale; cells: a multiple of 16
-extern "C" void ptt_resampled_values(const float *source, const int64_t *starts, const int32_t *reads, Half *out,
-                                     int64_t frames, int64_t cells, float scale, int threads) {
+static inline void keep(float *out, float x) { *out = x; }
+static inline void keep(uint8_t *out, float x) { *out = (uint8_t)(x + 0.5f); }
+static inline void keep(Half *out, float x) {
+    const _Float16 half = (_Float16)x;
+    std::memcpy(out, &half, sizeof half);
+}
+
+// `count` numbers as the table keeps them: over a scale that makes the largest `largest`, or as they are where that is 0
+template <class T>
+static inline void stored(const float *x, int64_t count, float largest, T *out, float *scale) {
+    float most = TINY;
+    for (int64_t i = 0; i < count; ++i) most = std::max(most, std::fabs(x[i]));
+    *scale = largest > 0 ? most / largest : 1.0f;
+    const float by = largest > 0 ? largest / most : 1.0f;
+    for (int64_t i = 0; i < count; ++i) keep(out + i, x[i] * by);
+}
+
+// S applied without a transform: out (frames, 3, cells) of a type, 0 for float32, 1 for 16 bits, 2 for 8; scale (frames)
+extern "C" void ptt_resampled_values(const float *source, const int64_t *starts, const int32_t *reads, void *out,
+                                     float *scale, int64_t frames, int64_t cells, float unit, float largest, int type,
+                                     int threads) {
     in_parallel(frames, threads, [=](int64_t f) {
         static thread_local std::vector<float> rows;
-        rows.resize(3 * cells);
+        const int64_t count = 3 * cells;
+        rows.resize(count);
         const int64_t *start = starts + f * cells;
         int64_t k = start[0];
         for (int64_t cell = 0; cell < cells; ++cell) {
             Four sum = {};
             for (; k < start[cell + 1]; ++k) sum += (float)(reads[k] & 255) * four(source + (reads[k] >> 8) * 4);
-            for (int c = 0; c < 3; ++c) rows[c * cells + cell] = sum[c] * scale;
+            for (int c = 0; c < 3; ++c) rows[c * cells + cell] = sum[c] * unit;
         }
-        for (int64_t i = 0; i < 3 * cells; i += LANES) store(out + f * 3 * cells + i, load(rows.data() + i));
+        switch (type) {
+            case 0: return stored(rows.data(), count, largest, (float *)out + f * count, scale + f);
+            case 1: return stored(rows.data(), count, largest, (Half *)out + f * count, scale + f);
+            case 2: return stored(rows.data(), count, largest, (uint8_t *)out + f * count, scale + f);
+        }
     });
 }
 

@@ -19,8 +19,10 @@ from ptt.ops.native.kernels import library
 from ptt.ops.rotation import Quantised, Resampling
 from ptt.ops.slices import ALIGNED, Located, Slices
 from ptt.ops.sphere import Grid
+from ptt.ops.table import LARGEST, Table
 
 CHANNELS = 4  # of a value in the kernels
+STORED = {torch.float32: 0, torch.float16: 1, torch.uint8: 2}  # of tables
 POINTERS = ("position", "normal", "frames", "eye", "weights", "light", "near", "first", "terms", "values", "out")
 LONGS = ("points", "width", "kept")
 INTS = ("distant", "views", "threads")
@@ -76,18 +78,20 @@ def resampled_light(coefficients: Tensor, frames: Tensor, target: Grid, samples:
     return out[..., : len(coefficients)]
 
 
-def resampled_values(values: Tensor, s: Resampling, cells: int) -> tuple[Tensor, float]:
-    """(f, c, cells) in float16 and its unit, as `ptt.ops.rotation.resampled_values`."""
-    fits = ready(values) and values.shape[1:] == (3,) and cells % ALIGNED == 0
+def resampled_values(values: Tensor, s: Resampling, cells: int, storage: torch.dtype = torch.float16) -> Table:
+    """(f, c, cells), as `ptt.ops.rotation.resampled_values`."""
+    fits = ready(values) and values.shape[1:] == (3,) and storage in STORED
     kernels = library() if fits else None
     if kernels is None:
-        return rotation.resampled_values(values, s, cells)
-    unit = rotation.unit_of(values)
+        return rotation.resampled_values(values, s, cells, storage)
     frames = (len(s.starts) - 1) // cells
-    source, out = pad(values, (0, 1)).contiguous(), torch.empty(frames, 3, cells, dtype=torch.float16)
-    sizes = c_int64(frames), c_int64(cells), c_float(1 / (s.samples**2 * unit)), c_int(torch.get_num_threads())
-    kernels.ptt_resampled_values(*map(address, (source, s.starts, s.reads, out)), *sizes)
-    return out, unit
+    out = Table(torch.empty(frames, 3, cells, dtype=storage), torch.empty(frames))
+    numbers = c_int64(frames), c_int64(cells), c_float(1 / s.samples**2), c_float(LARGEST.get(storage, 0.0))
+    tensors = pad(values, (0, 1)).contiguous(), s.starts, s.reads, *out
+    kernels.ptt_resampled_values(
+        *map(address, tensors), *numbers, c_int(STORED[storage]), c_int(torch.get_num_threads())
+    )
+    return out
 
 
 def quantised(s: Resampling, n: int, m: int, unit: float, threshold: int) -> Quantised:

@@ -1,0 +1,88 @@
+// Lookups of ptt/ops/near.py, sixteen points at a time; the last ones overlap those before.
+
+#include "lanes.h"
+
+template <class Run>
+static inline void by_lanes(int64_t points, int threads, Run run) {
+    in_parallel((points + LANES - 1) / LANES, threads, [=](int64_t b) { run(std::min(b * LANES, points - LANES)); });
+}
+
+// rows, weights (p, 4)
+static inline void put(const Corners &at, int32_t *rows, float *weights, int64_t p) {
+    for (int l = 0; l < LANES; ++l)
+        for (int k = 0; k < 4; ++k) rows[4 * (p + l) + k] = at.cell[k][l], weights[4 * (p + l) + k] = at.weight[k][l];
+}
+
+static inline Lanes dot(const Lanes *a, const Lanes *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+// 0..1 of a whole turn, to 1e-4 of a radian
+static inline Lanes angle(Lanes y, Lanes x) {
+    const Lanes a = size(x), b = size(y), t = least(a, b) / most(most(a, b), all(TINY)), s = t * t;
+    Lanes r = ((((0.0208351f * s - 0.0851330f) * s + 0.1801410f) * s - 0.3302995f) * s + 0.9998660f) * t;
+    r = b > a ? 1.57079633f - r : r;
+    r = x < 0 ? 3.14159265f - r : r;
+    r = y < 0 ? -r : r;
+    return r * 0.159154943f;
+}
+
+// frames (p, 3, 3) among sampled ones (n * n, 3, 3)
+extern "C" void ptt_near_frames(const float *frames, const float *sampled, int32_t *rows, float *weights, int64_t points,
+                                int64_t n, int64_t twists, int threads) {
+    by_lanes(points, threads, [=](int64_t p) {
+        const float *first = frames + 9 * p;
+        Lanes tangent[3], normal[3];
+        for (int c = 0; c < 3; ++c) tangent[c] = gather(first + c, 9 * lane()), normal[c] = gather(first + 6 + c, 9 * lane());
+        Corners at = on_sphere(normal, n);
+        for (int k = 0; k < 4; ++k) {
+            Lanes own[3][3];
+            for (int a = 0; a < 3; ++a)
+                for (int c = 0; c < 3; ++c) own[a][c] = gather(sampled + 3 * a + c, 9 * at.cell[k]);
+            // the tangent, leaned by the smallest rotation that takes the normal to the sampled one
+            const Lanes lean = dot(tangent, own[2]) / most(1.0f + dot(normal, own[2]), all(1e-6f));
+            const Lanes x = dot(tangent, own[0]) - lean * dot(normal, own[0]);
+            const Lanes y = dot(tangent, own[1]) - lean * dot(normal, own[1]);
+            const Lanes turned = angle(y, x) * (float)twists;  // -twists / 2..twists / 2
+            Ints turn = whole(turned + (float)twists + 0.5f) - (int32_t)twists;
+            turn = turn < 0 ? turn + (int32_t)twists : turn;
+            turn = turn >= (int32_t)twists ? turn - (int32_t)twists : turn;
+            at.cell[k] = at.cell[k] * (int32_t)twists + turn;
+        }
+        put(at, rows, weights, p);
+    });
+}
+
+// toward the eye (3), or, where `positions` is null, in directions (p, 3)
+extern "C" void ptt_near_views(const float *frames, const float *positions, const float *eye, int32_t *rows,
+                               float *weights, int64_t points, int64_t views, int threads) {
+    by_lanes(points, threads, [=](int64_t p) {
+        Lanes away[3], local[3];
+        for (int c = 0; c < 3; ++c)
+            away[c] = positions ? eye[c] - gather(positions + 3 * p + c, 3 * lane()) : gather(eye + 3 * p + c, 3 * lane());
+        for (int a = 0; a < 3; ++a) {
+            Lanes row[3];
+            for (int c = 0; c < 3; ++c) row[c] = gather(frames + 9 * p + 3 * a + c, 9 * lane());
+            local[a] = dot(row, away);
+        }
+        const Lanes sum = size(local[0]) + size(local[1]) + size(local[2]);
+        const Lanes scale = sum > 0 ? 1.0f / most(sum, all(TINY)) : Lanes{};
+        put(corners((local[0] + local[1]) * scale, (local[0] - local[1]) * scale, views, false), rows, weights, p);
+    });
+}
+
+// corner_uv (f, 3, 2), triangle (p), barycentric (p, 3), in_use (side * side)
+extern "C" void ptt_near_texels(const float *corner_uv, const int64_t *triangle, const float *barycentric,
+                                const int32_t *in_use, int32_t *rows, float *weights, int64_t points, int64_t side,
+                                int threads) {
+    by_lanes(points, threads, [=](int64_t p) {
+        Ints corner;
+        for (int l = 0; l < LANES; ++l) corner[l] = (int32_t)triangle[p + l] * 6;
+        Lanes u = {}, v = {};
+        for (int c = 0; c < 3; ++c) {
+            const Lanes share = gather(barycentric + 3 * p + c, 3 * lane());
+            u += share * gather(corner_uv + 2 * c, corner), v += share * gather(corner_uv + 2 * c + 1, corner);
+        }
+        Corners at = corners(2.0f * u - 1.0f, 2.0f * v - 1.0f, side, false);
+        for (Ints &cell : at.cell) cell = (Ints)gather((const float *)in_use, cell);
+        put(at, rows, weights, p);
+    });
+}

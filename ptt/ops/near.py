@@ -1,0 +1,65 @@
+"""Where the functions of points lie in their tables: between frames of light, directions of view, texels of an atlas.
+
+Each is a bilinear lookup of four rows. Weights are not negative and sum to 1.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ptt.ops import slices
+from ptt.ops.octahedral import corners, hemi_octahedral
+
+
+class Near(NamedTuple):
+    """What is interpolated at p points: rows (p, k) int32 of a table, and weights (p, k)."""
+
+    rows: Tensor
+    weights: Tensor
+
+    def mix(self, functions: Tensor) -> Tensor:
+        """(p, ..., n) of functions (p, k, ..., n)."""
+        return torch.einsum("pk,pk...->p...", self.weights.to(functions), functions)
+
+    def one(self) -> Near:
+        """The row of the largest weight alone."""
+        largest = self.weights.argmax(1, keepdim=True)
+        return Near(self.rows.gather(1, largest), torch.ones_like(self.weights[:, :1]))
+
+
+def of_frames(frames: Tensor, sampled: Tensor, twists: int) -> Near:
+    """Of frames (p, 3, 3) among sampled ones (n * n, 3, 3), each with so many turns of its tangent.
+
+    sampled: of the normals `Octahedral(n).directions()`; row = twists * normal + turn, the nearest turn
+    """
+    at = slices.located(frames[:, 2], frames, sampled)
+    turn = (at.twist * (twists / (2 * math.pi))).round().int() % twists
+    return Near((at.near * twists + turn).T.contiguous(), at.weights.T.contiguous())
+
+
+def of_views(frames: Tensor, positions: Tensor, eye: Tensor, views: int) -> Near:
+    """Of directions from positions (p, 3) to an eye (3,), in frames (p, 3, 3), on `HemiOctahedral(views)`.
+
+    eye (p, 3): the directions themselves, in place of an eye, of any length; one that is zero stands for up
+    Those below the horizon have what their mirror images above have.
+    """
+    away = eye - positions if eye.ndim == 1 else eye
+    local = torch.einsum("pax,px->pa", frames, away)
+    local = torch.where((local == 0).all(1, keepdim=True), local.new_tensor([0.0, 0.0, 1.0]), local)
+    cells, weights = corners(hemi_octahedral(local), views, wrap=False)
+    return Near(cells.int(), weights)
+
+
+def of_texels(corner_uv: Tensor, triangle: Tensor, barycentric: Tensor, rows: Tensor) -> Near:
+    """Of points in triangles (p,), at barycentric (p, 3), in a square of texels, whose rows (size * size,) are given.
+
+    corner_uv (f, 3, 2): of the triangles' corners, in 0..1
+    """
+    size = math.isqrt(len(rows))
+    uv = (corner_uv[triangle] * barycentric[..., None].to(corner_uv)).sum(1)
+    cells, weights = corners(2 * uv - 1, size, wrap=False)
+    return Near(rows[cells], weights)
