@@ -58,6 +58,9 @@ static inline void load(Lanes &x, const T *p, int64_t left) {
     x = load(left < LANES ? (const T *)std::memcpy(some, p, left * sizeof(T)) : p);
 }
 static inline Lanes widened(Lanes x) { return x; }
+static inline void keep(float *out, Lanes x) { store(out, x); }
+static inline void keep(_Float16 *out, Lanes x) { store((Half *)out, x); }
+
 // The sums of three vectors, to out (4)
 static inline void sums_of(const Lanes *x, float *out) {
 #if defined(__AVX512F__)
@@ -124,8 +127,7 @@ struct Rows {
             std::memcpy(row[k], &r, sizeof r);
         }
         const Lanes by = unit / gain;
-        for (int k = 0; k < K; ++k)
-            for (int l = 0; l < LANES; ++l) weight[k][l] = (Number)(w[k] * by)[l];
+        for (int k = 0; k < K; ++k) keep(weight[k], w[k] * by);
         gain *= 1.0f / (unit * loaded);
     }
 };
