@@ -10,6 +10,7 @@ ptt.render(scene, scene.camera, radiance).save("watch.png")
 from ptt import reference
 from ptt.assembly import assemble
 from ptt.atlas import Atlas
+from ptt.bumps import BumpMap
 from ptt.clustering import Clusters, cluster
 from ptt.compress import compress
 from ptt.environment import Environment
@@ -41,6 +42,7 @@ __all__ = [
     "BRDFSpace",
     "Blend",
     "BlinnPhong",
+    "BumpMap",
     "Camera",
     "Clusters",
     "CookTorrance",

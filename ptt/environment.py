@@ -131,6 +131,16 @@ class Environment:
         sky = cls.gradient_sky(zenith, horizon, ground)
         return cls(sky.map + sun.map / (pi * sin(radians(radius)) ** 2))
 
+    def __add__(self, other: Environment) -> Environment:
+        """Both lights at once, such as several area lights.
+
+        Raises:
+            ValueError: their maps differ in size, or one is turned against the other.
+        """
+        if self.map.shape != other.map.shape or not torch.equal(self.rotation, other.rotation):
+            raise ValueError("lights must have maps of one size that are turned alike: add first, then turn the sum")
+        return replace(self, map=self.map + other.map)
+
     def rotated(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Environment:
         """The environment turned by degrees about the world axes, first x, then y, then z; right-handed."""
         rotation = turn(2, z) @ turn(1, y) @ turn(0, x) @ self.rotation

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from torch import Tensor
 
+from ptt.bumps import BumpMap, bent
 from ptt.environment import Environment
-from ptt.path_tracer import orthonormal
 from ptt.render import Image
 from ptt.scene import Camera, Scene
 
@@ -19,7 +20,7 @@ class GBuffer:
     camera: that sees them
     pixel (p,): row * width + column
     triangle (p,), barycentric (p, 3): where on the mesh
-    positions (p, 3), frames (p, 3, 3): rows tangent, bitangent, normal, interpolated and orthonormal
+    positions (p, 3), frames (p, 3, 3): rows tangent, bitangent, normal; interpolated, orthonormal, bent by bump maps
     colours (p, 3): linear base colour, from the texture where there is one
     region (p,): index into `Scene.regions`
     uv (p, 2): texture coordinates; None where the scene has none
@@ -38,8 +39,16 @@ class GBuffer:
     missed: Tensor
 
     @classmethod
-    def of(cls, scene: Scene, camera: Camera) -> GBuffer:
-        """Trace the rays through the pixels' centres."""
+    def of(cls, scene: Scene, camera: Camera, bumps: Mapping[str, BumpMap] | None = None) -> GBuffer:
+        """Trace the rays through the pixels' centres.
+
+        bumps: by region, that bend its frames; light and BRDFs follow them, visibility does not, as in the paper
+
+        A frame whose tangent is parallel to its normal gets another tangent; a warning counts them.
+
+        Raises:
+            ValueError: bump maps of an unknown region, or for a scene without uv.
+        """
         eye, directions = camera.rays()
         hits = scene.surface.first_hit(eye.expand(camera.width * camera.height, 3), directions.reshape(-1, 3))
         pixel = hits.front.nonzero()[:, 0]
@@ -48,18 +57,11 @@ class GBuffer:
         def mixed(values: Tensor) -> Tensor:
             return scene.interpolated(values, triangle, barycentric)
 
-        return cls(
-            camera,
-            pixel,
-            triangle,
-            barycentric,
-            mixed(scene.vertices),
-            orthonormal(mixed(scene.normals), mixed(scene.tangents)),
-            scene.albedo(triangle, barycentric),
-            scene.face_region[triangle],
-            None if scene.uv is None else mixed(scene.uv),
-            hits.triangle < 0,
-        )
+        region, uv = scene.face_region[triangle], None if scene.uv is None else mixed(scene.uv)
+        frames = bent(scene, bumps or {}, scene.frames_at(triangle, barycentric), uv, region)
+        colours = scene.albedo(triangle, barycentric)
+        missed = hits.triangle < 0
+        return cls(camera, pixel, triangle, barycentric, mixed(scene.vertices), frames, colours, region, uv, missed)
 
     def interpolated(self, scene: Scene, values: Tensor) -> Tensor:
         """Values (p, ...) of those at the scene's vertices (v, ...)."""

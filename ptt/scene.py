@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -248,6 +249,19 @@ class Scene:
     def interpolated(self, values: Tensor, triangle: Tensor, barycentric: Tensor) -> Tensor:
         """Values (n, ...) inside triangles (n,), at barycentric (n, 3), of those at the vertices (v, ...)."""
         return torch.einsum("nk,nk...->n...", barycentric.to(values), values[self.faces[triangle]])
+
+    def frames_at(self, triangle: Tensor, barycentric: Tensor) -> Tensor:
+        """Orthonormal frames (n, 3, 3) inside triangles (n,), at barycentric (n, 3).
+
+        Where interpolation leaves no frame, the triangle's normal, or another tangent; a warning counts them.
+        """
+        a, b, c = self.vertices[self.faces[triangle]].unbind(1)
+        across = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1)
+        normals, tangents = (self.interpolated(x, triangle, barycentric) for x in (self.normals, self.tangents))
+        frames, repaired = mesh.frames(normals, tangents, across)
+        if repaired:
+            warnings.warn(f"{repaired} of {len(frames)} frames between vertices that disagree repaired", stacklevel=3)
+        return frames
 
     def albedo(self, triangle: Tensor, barycentric: Tensor) -> Tensor:
         """Linear base colour (n, 3) at hits: triangle (n,) index into faces, barycentric (n, 3).

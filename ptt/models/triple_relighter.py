@@ -26,7 +26,6 @@ from ptt.ops.octahedral import Octahedral
 from ptt.ops.rotation import Resampling
 from ptt.ops.shade import Coats, Functions, Points
 from ptt.ops.table import Table, stored
-from ptt.path_tracer import orthonormal
 from ptt.scene import Scene
 from ptt.shapes import Shape
 
@@ -281,7 +280,7 @@ def _traced(scene: Scene, atlas: Atlas | None, grid: Geodesic, rays: int, progre
         points, frames = scene.points, scene.frames
     else:
         points = atlas.mixed(scene, scene.vertices)
-        frames = orthonormal(atlas.mixed(scene, scene.normals), atlas.mixed(scene, scene.tangents))
+        frames = scene.frames_at(atlas.triangle, atlas.barycentric)
     parts = []
     with tqdm(total=len(points), desc="visibility", unit=" points", disable=not progress) as bar:
         for some, turned_to in zip(points.split(BLOCK), frames.split(BLOCK), strict=True):

@@ -100,6 +100,23 @@ def tangents(vertices: Tensor, faces: Tensor, normals: Tensor, uv: Tensor | None
     return _unit(_across(level, normals))
 
 
+def frames(normals: Tensor, tangents: Tensor, across: Tensor) -> tuple[Tensor, int]:
+    """Orthonormal frames (n, 3, 3), rows tangent, bitangent, normal, of interpolated normals and tangents (n, 3).
+
+    across (n, 3): unit normals for those that are zero, as where a vertex' neighbours look to opposite sides. A tangent
+    that is parallel to its normal is replaced by another; the number counts what was repaired of both.
+    """
+    flat = normals.norm(dim=1) < CANCELLED
+    n = _unit(torch.where(flat[:, None], across, normals))
+    t = _across(tangents, n)
+    along = t.norm(dim=1) < CANCELLED * tangents.norm(dim=1).clamp(min=CANCELLED)
+    if repaired := int((flat | along).sum()):
+        smallest = torch.nn.functional.one_hot(n.abs().argmin(1), 3).to(n)
+        t = torch.where(along[:, None], _across(smallest, n), t)
+    t = _unit(t)
+    return torch.stack((t, torch.linalg.cross(n, t), n), 1), repaired
+
+
 def _u_directions(vertices: Tensor, faces: Tensor, uv: Tensor) -> Tensor:
     """(v, 3): the unit directions in which u grows on the faces, weighted by their angle at the vertex."""
     a, b, c = vertices.double()[faces].unbind(1)
