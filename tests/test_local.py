@@ -91,3 +91,18 @@ def test_refuses() -> None:
     with pytest.raises(ValueError, match="power of two"):
         vertices, faces = mesh.sphere_mesh(0)
         local.visibility(Surface(vertices, faces), vertices, torch.eye(3).expand(12, 3, 3), Geodesic(0), 3)
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+@pytest.mark.parametrize("views", [5, 8])
+def test_table_of_an_isotropic_brdf_is_mirrored(level: int, views: int) -> None:
+    """A quarter of it is sampled; the rest is what sampling gives, as the grid is its own mirror image."""
+    grid, f = Geodesic(level), ptt.BlinnPhong(12.0).evaluate
+    whole, quarter = (local.brdf_table(f, grid, views, isotropic) for isotropic in (False, True))
+    torch.testing.assert_close(quarter, whole, rtol=1e-4, atol=1e-5)
+    for axis in range(2):
+        flip = torch.ones(3).double()
+        flip[axis] = -1
+        image = grid.cell(grid.directions() * flip)
+        assert torch.equal(image.sort().values, torch.arange(grid.cells))
+        torch.testing.assert_close(grid.directions()[image], grid.directions() * flip, rtol=0, atol=1e-12)

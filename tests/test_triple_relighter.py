@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from torch import Tensor
 
 import ptt
 from ptt import reference
+from ptt.meshes import Part
 from ptt.models.triple_relighter import turned
-from ptt.ops import rotation
+from ptt.ops import mesh, rotation, table
+from ptt.ops.geodesic import Geodesic
 from ptt.ops.octahedral import Octahedral
 
 SKY = ptt.Environment.sun_sky(radius=25.0)
@@ -137,3 +141,101 @@ def test_refuses(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) 
         relighter(SKY, {"lid": ptt.lambert()}, small_scene.camera)
     with pytest.raises(ValueError, match="view must"):
         relighter(SKY, {}, torch.ones(2, 3))
+
+
+def test_two_materials_on_a_region_are_mixed(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) -> None:
+    """Linear in the share, which is interpolated; a share of 0 or 1 is one material alone."""
+    first, second = ptt.blinn_phong((0.1, 0.5, 0.2), 0.3, 30.0), ptt.ward(0.4, 0.2, 0.3, 0.1)
+    pixels = ptt.GBuffer.of(small_scene, small_scene.camera)
+    share = torch.rand(len(small_scene.vertices), generator=torch.Generator().manual_seed(0))
+    share[:50] = torch.arange(50) % 2
+    for view, amount in ((small_scene.camera, share), (pixels, pixels.interpolated(small_scene, share))):
+        a, b, both = (relighter(SKY, {"ball": m}, view) for m in (first, second, ptt.Mixed(first, second, share)))
+        region = small_scene.vertex_region if view is small_scene.camera else pixels.region
+        amount = torch.where(region == small_scene.region_index("ball"), amount, torch.zeros(()))[:, None]
+        torch.testing.assert_close(both, a + (b - a) * amount, rtol=5e-3, atol=1e-3)
+
+
+def test_a_mixed_region_refuses(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) -> None:
+    a, b = ptt.lambert(0.2), ptt.lambert(0.4)
+    for share, message in ((torch.rand(4, 4), "needs a scene with uv"), (torch.rand(7), "must have .* values")):
+        with pytest.raises(ValueError, match=message):
+            relighter(SKY, {"ball": ptt.Mixed(a, b, share)}, small_scene.camera)
+    for share, message in ((torch.rand(2, 2, 2), "texture"), (torch.tensor([1.5]), "share must")):
+        with pytest.raises(ValueError, match=message):
+            ptt.Mixed(a, b, share)
+    with pytest.raises(ValueError, match=r"must map regions to ptt\.Material, got Mixed"):
+        ptt.EnvMapRelighter(small_scene, ptt.LightRotation.build(8, normals=4))(
+            SKY,
+            {"ball": ptt.Mixed(a, b, torch.rand(4, 4))},
+            small_scene.camera,  # type: ignore[dict-item]
+        )
+
+
+@pytest.mark.parametrize(("storage", "error"), [("16-bit", 1e-3), ("8-bit", 0.01)])
+def test_storage(small_scene: ptt.Scene, storage: str, error: float) -> None:
+    def relit(storage: str) -> Tensor:
+        relighter = ptt.TripleProductRelighter(
+            small_scene,
+            1,
+            normals=8,
+            twists=8,
+            source=16,
+            views=24,
+            storage=storage,  # type: ignore[arg-type]
+        )
+        return relighter(SKY, {"ball": ptt.blinn_phong(0.2, 0.5, 20.0)}, small_scene.camera)
+
+    exact, rough = relit("float"), relit(storage)
+    assert 0 < ptt.relative_rmse(rough, exact) < error
+
+
+def test_light_rotated_before(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) -> None:
+    """From four times as many cells, and sixteen times the samples: nearly the same for a smooth sky."""
+    sky = ptt.Environment.gradient_sky()
+    tables = relighter.prerotated(sky)
+    on_the_fly = relighter.incident(sky)
+    assert tables.values.shape == on_the_fly.values.shape
+    assert ptt.relative_rmse(on_the_fly.to_dense(), tables.to_dense()) < 0.03
+    got, wanted = (relighter(light, {}, small_scene.camera) for light in (tables, sky))
+    assert ptt.relative_rmse(got, wanted) < 0.02
+    with pytest.raises(ValueError, match="rotated by this relighter"):
+        relighter(tables._replace(values=tables.values[:5]), {}, small_scene.camera)
+
+
+@pytest.mark.parametrize("level", [0, 7])
+def test_coarsest_and_finest_level(level: int) -> None:
+    """A white ball alone under light 1 reflects 1, on twenty triangles and on 327,680."""
+    vertices, faces = mesh.sphere_mesh(0)
+    scene = ptt.Scene.from_mesh(vertices, faces, material=ptt.lambert(1.0))
+    relighter = ptt.TripleProductRelighter(scene, level, normals=2, twists=1, source=8, views=2, rays=1)
+    radiance = relighter(ptt.Environment.constant(1.0), {}, scene.camera)
+    torch.testing.assert_close(radiance, torch.ones_like(radiance), rtol=0, atol=0.15 if level == 0 else 0.01)
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_all_visible_and_all_hidden(hidden: bool) -> None:
+    """A floor alone, and under a lid that is far larger."""
+    parts = [Part("floor", *mesh.plane_mesh(1.0, 2), material=ptt.lambert(1.0))]
+    if hidden:
+        over, faces = mesh.plane_mesh(100.0, 1)
+        parts.append(Part("lid", over + torch.tensor([0.0, 0.01, 0.0]), faces))
+    scene = ptt.Scene.from_parts(parts, camera=ptt.Camera((0.0, 0.005, 0.4), (0.0, 0.0, 0.0)))
+    relighter = ptt.TripleProductRelighter(scene, 2, normals=4, twists=4, source=16, views=4)
+    radiance = relighter(ptt.Environment.constant(1.0), {}, scene.camera)[:9]
+    assert bool(((radiance - float(not hidden)).abs() < 0.01).all())
+
+
+def test_light_in_one_triangle() -> None:
+    """Of a level-1 grid: what a matt floor reflects of it is its solid angle times its cosine over pi."""
+    grid = Geodesic(1)
+    scene = ptt.Scene.from_mesh(*mesh.plane_mesh(1.0, 1), material=ptt.lambert(1.0))
+    relighter = ptt.TripleProductRelighter(scene, 1, normals=4, twists=1, source=8, views=4)
+    cell = int(grid.directions()[:, 2].argmax())
+    values = torch.zeros(len(relighter.frames), 3, grid.cells)
+    values[:, :, cell] = torch.tensor([1.0, 2.0, 0.0])
+    light = table.stored(values, torch.float16)
+    radiance = relighter(light, {}, scene.camera)
+    wanted = float(relighter.dull[cell]) * 20 / 80
+    assert wanted == pytest.approx(float(grid.solid_angles()[cell] * grid.directions()[cell, 2]) / math.pi, rel=0.05)
+    torch.testing.assert_close(radiance, torch.tensor([[1.0, 2.0, 0.0]]).expand(4, 3) * wanted, rtol=2e-3, atol=0)

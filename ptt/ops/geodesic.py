@@ -157,16 +157,17 @@ def levels(n: int) -> int:
 
 @cache
 def _icosahedron() -> Tensor:
-    """Corners (20, 3, 3), counter-clockwise; two vertices on the axis z."""
-    z, r = 1 / math.sqrt(5), 2 / math.sqrt(5)
-    angle = torch.arange(5, dtype=torch.float64) * (2 * math.pi / 5)
-    upper = torch.stack((r * angle.cos(), r * angle.sin(), torch.full_like(angle, z)), 1)
-    lower = upper * torch.tensor([-1.0, -1.0, -1.0], dtype=torch.float64)
-    lower = lower.roll(2, 0)  # lower[k] lies between upper[k] and upper[k + 1], half a step on
-    top, bottom = torch.tensor([0.0, 0, 1]).double().expand(5, 3), torch.tensor([0.0, 0, -1]).double().expand(5, 3)
-    after, below = upper.roll(-1, 0), lower.roll(-1, 0)
-    faces = [(top, upper, after), (upper, lower, after), (after, lower, below), (lower, bottom, below)]
-    return torch.cat([torch.stack(face, 1) for face in faces])
+    """Corners (20, 3, 3), counter-clockwise, from the top down; its own mirror image in x, y and z."""
+    golden = (1 + math.sqrt(5)) / 2
+    signs = torch.cartesian_prod(*[torch.tensor([1.0, -1.0], dtype=torch.float64)] * 2)
+    flat = torch.cat((torch.zeros(4, 1).double(), signs * torch.tensor([1, golden]).double()), 1)
+    corners = unit(torch.cat([flat.roll(k, 1) for k in range(3)]))
+    triples = torch.combinations(torch.arange(12), 3)
+    apart = torch.stack([(corners[triples[:, i]] - corners[triples[:, i - 1]]).norm(dim=1) for i in range(3)])
+    faces = corners[triples[(apart < 1.1).all(0)]]  # edges are 1.05 long, diagonals 1.7
+    outward = torch.linalg.det(faces) > 0
+    faces = torch.where(outward[:, None, None], faces, faces.flip(1))
+    return faces[faces.sum(1)[:, 2].argsort(descending=True, stable=True)]
 
 
 def _children(corners: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from ptt.ops.geodesic import ROOTS, Geodesic
+from ptt.ops.geodesic import FINEST, ROOTS, Geodesic
 from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.raycast import Surface
 
@@ -84,7 +84,8 @@ def brdf_table(
     return table
 
 
-def cosine(grid: Geodesic, samples: int = 8) -> Tensor:
+def cosine(grid: Geodesic) -> Tensor:
     """F (n,) of Lambert's BRDF, 1 / pi."""
+    samples = 1 << min(3, FINEST - grid.level)
     up = torch.tensor([[0.0, 0.0, 1.0]])
     return brdf(lambda wi, wo: torch.full_like(wi[..., 0] * wo[..., 0], 1 / math.pi), grid, up, samples)[0]
