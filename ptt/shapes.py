@@ -243,3 +243,8 @@ def check(name: str, value: Number | Sequence[float], low: float, high: float) -
 
 def _blend(shapes: Sequence[Mapping[str, Any]], weights: Sequence[float]) -> Blend:
     return Blend(tuple(from_config(s) for s in shapes), tuple(weights))
+
+
+def mirrored(shape: Shape) -> bool:
+    """Whether a shape is surely its own mirror image, along the tangent and along the bitangent."""
+    return shape.isotropic or isinstance(shape, Ward)

@@ -13,6 +13,7 @@ from ptt.ops import geodesic, local, mesh, rotation, triple
 from ptt.ops.geodesic import Geodesic
 from ptt.ops.octahedral import Octahedral
 from ptt.ops.raycast import Surface
+from ptt.shapes import mirrored
 
 
 def test_lambert_reflects_all() -> None:
@@ -95,10 +96,12 @@ def test_refuses() -> None:
 
 @pytest.mark.parametrize("level", [0, 1, 2])
 @pytest.mark.parametrize("views", [5, 8])
-def test_table_of_an_isotropic_brdf_is_mirrored(level: int, views: int) -> None:
+@pytest.mark.parametrize("shape", [ptt.BlinnPhong(12.0), ptt.Ward(0.5, 0.2)], ids=["isotropic", "brushed"])
+def test_table_of_a_brdf_is_mirrored(level: int, views: int, shape: ptt.BlinnPhong | ptt.Ward) -> None:
     """A quarter of it is sampled; the rest is what sampling gives, as the grid is its own mirror image."""
-    grid, f = Geodesic(level), ptt.BlinnPhong(12.0).evaluate
-    whole, quarter = (local.brdf_table(f, grid, views, isotropic) for isotropic in (False, True))
+    grid = Geodesic(level)
+    assert mirrored(shape)
+    whole, quarter = (local.brdf_table(shape.evaluate, grid, views, some) for some in (False, True))
     torch.testing.assert_close(quarter, whole, rtol=1e-4, atol=1e-5)
     for axis in range(2):
         flip = torch.ones(3).double()

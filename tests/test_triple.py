@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from ptt.ops import geodesic, haar, triple
+from ptt.ops import geodesic, haar, native, triple
 
 
 def functions(count: int, level: int, seed: int = 0) -> Tensor:
@@ -138,3 +138,19 @@ def test_batches_and_gradients() -> None:
     assert batched.shape == (2,)
     torch.testing.assert_close(batched[1], triple.integral(f[1], g[1], h[1]))
     torch.autograd.gradcheck(triple.integral, tuple(x.requires_grad_() for x in (f, g, h)))
+
+
+@pytest.mark.parametrize("level", [0, 1, 3])
+@pytest.mark.parametrize("keep", [1, 17, 80])
+def test_adaptive_kernel(level: int, keep: int, built: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    n, g = 20 << 2 * level, torch.Generator().manual_seed(keep)
+    three = [torch.randn(130, n, generator=g) for _ in range(3)]
+    kept = [haar.truncate(x, min(n, keep + k)) for k, x in enumerate(three)]
+    wanted = triple.adaptive(*kept, n)
+    monkeypatch.setattr(triple, "adaptive", None)  # so that it cannot have been the plain one
+    torch.testing.assert_close(native.adaptive(*kept, n), wanted, rtol=1e-4, atol=1e-3)
+
+
+def test_what_the_adaptive_kernel_does_not_take_is_computed_plainly(built: None) -> None:
+    three = [haar.truncate(torch.randn(4, 80).double(), 9) for _ in range(3)]
+    assert torch.equal(native.adaptive(*three, 80), triple.adaptive(*three, 80))

@@ -27,7 +27,7 @@ from ptt.ops.rotation import Resampling
 from ptt.ops.shade import Coats, Functions, Points
 from ptt.ops.table import Table, stored
 from ptt.scene import Scene
-from ptt.shapes import Shape
+from ptt.shapes import Shape, mirrored
 
 Storage = Literal["float", "16-bit", "8-bit"]
 """How light and BRDFs are kept: as they are, or a row at a time, each with a scale of its own."""
@@ -256,7 +256,7 @@ class TripleProductRelighter(nn.Module):
         if shape is None:
             table = torch.zeros(self.views**2, self.grid.cells)
         else:
-            table = local.brdf_table(shape.evaluate, self.grid, self.views, shape.isotropic)
+            table = local.brdf_table(shape.evaluate, self.grid, self.views, mirrored(shape))
         return Table(*(x.to(self.dull.device) for x in stored(table, self.storage)))
 
     def _checked(self, light: Table) -> Table:

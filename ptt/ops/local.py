@@ -67,14 +67,14 @@ def brdf(f: Callable[[Tensor, Tensor], Tensor], grid: Geodesic, wo: Tensor, samp
 
 
 def brdf_table(
-    f: Callable[[Tensor, Tensor], Tensor], grid: Geodesic, views: int, isotropic: bool, samples: int = 4
+    f: Callable[[Tensor, Tensor], Tensor], grid: Geodesic, views: int, mirrored: bool, samples: int = 4
 ) -> Tensor:
     """F (views^2, n) of a BRDF for all directions of `HemiOctahedral(views)`.
 
-    isotropic: only a quarter of them is sampled; the rest are its mirror images in x and y, as the grid's triangles are
+    mirrored: f is its own mirror image in x and in y, as the grid's triangles are: only a quarter of it is sampled
     """
     wo = HemiOctahedral(views).directions().reshape(-1, 3)
-    if not isotropic:
+    if not mirrored:
         return brdf(f, grid, wo, samples)
     quarter = ((wo[:, 0] > -MIDDLE) & (wo[:, 1] > -MIDDLE)).nonzero()[:, 0]
     found, table = brdf(f, grid, wo[quarter], samples), torch.empty(len(wo), grid.cells)

@@ -16,8 +16,10 @@ from ptt.ops.native.rotation import (
     rotates,
 )
 from ptt.ops.native.shading import shade
+from ptt.ops.native.triple import adaptive
 
 __all__ = [
+    "adaptive",
     "available",
     "eigen",
     "expand",

@@ -14,7 +14,7 @@ import warnings
 from functools import cache
 from pathlib import Path
 
-NAMES = "light", "brdf", "view", "rotation", "shading", "near"
+NAMES = "light", "brdf", "view", "rotation", "shading", "near", "triple"
 SOURCES = tuple(Path(__file__).with_name(f"{name}.cpp") for name in NAMES)
 HEADER = Path(__file__).with_name("lanes.h")
 # not -ffast-math, with which GCC sets the process to flush denormals
