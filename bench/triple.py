@@ -1,9 +1,9 @@
-"""Triple products in local frames: figures of it, as rows of bench/results/triple.csv.
+"""Triple products in local frames: every figure of it, as rows of bench/results/triple.csv.
 
-    PTT_DATA=... python bench/triple.py             # a few minutes on two cores
+    PTT_DATA=... python bench/triple.py             # about ten minutes on two cores, pictures and all
     python bench/triple.py --quick                  # half a minute: a ball over a floor, written nowhere
 
-Needs PTT_DATA with meshes and maps.
+Needs PTT_DATA with meshes and maps. Pictures go to docs/images.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
+from typing import get_args
 
 import torch
 from torch import Tensor
@@ -24,17 +25,22 @@ from torch import Tensor
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import ptt
+from bench import triple_pictures
 from bench.table import Table, median_seconds, read_bandwidth, setting
 from ptt import reference
 from ptt.meshes import Part
-from ptt.ops import geodesic, haar, local, mesh, rotation, triple
+from ptt.models.cache import Cache
+from ptt.models.triple_relighter import Storage
+from ptt.ops import geodesic, haar, local, mesh, native, triple
 from ptt.ops.geodesic import Geodesic
-from ptt.ops.octahedral import Octahedral
 
 PAPER = {("texture", 1): "97 (25 K), 44 to 47 (50 K)", ("texture", 2): "38 (25 K), 17 to 18 (50 K)"}
 PAPER |= {("vertices", 1): "21 (25 K), 15 (50 K)", ("vertices", 2): "8.5 (25 K), 7 (50 K)"}
 GOALS = {("texture", 1): ">= 60", ("texture", 2): ">= 30"}
 MATERIALS = {"dull": ptt.lambert(0.6), "glossy": ptt.blinn_phong(0.2, 0.6, 30.0)}
+GIVEN = {"body": ptt.fitted("gold-metallic-paint"), "floor": ptt.blinn_phong(0.5, 0.2, 20.0)}
+PRODUCTS = 28  # multiplications and additions for a triangle of a pixel: 12 of light, 4 and 4, 2 products, 6 sums
+COMPARED = 400  # pixels
 
 
 def main() -> None:
@@ -45,21 +51,26 @@ def main() -> None:
     table, data = Table("triple_quick" if quick else "triple"), Path(os.environ.get("PTT_DATA", ""))
     if not quick and not data.name:
         parser.error("set PTT_DATA to the folder with meshes and hdri")
-    body = mesh.sphere_mesh(3)
-    scenes = {"ball": on_floor(*body, 20)}
-    lights = {"area light": ptt.Environment.area_light((0.4, 0.8, 0.3), 12.0, 20.0)}
+    scenes = {"ball": on_floor(*mesh.sphere_mesh(3), 20)}
+    lights = {"hard shadows": ptt.Environment.area_light((0.4, 0.8, 0.3), 8.0, 40.0)}
     if not quick:
         read = {"dragon": "dragon_vrip_res3.ply", "igea": "igea.ply"}
         loaded = {name: ptt.Scene.load(data / "meshes" / file) for name, file in read.items()}
         scenes = {name: on_floor(scene.vertices, scene.faces, 100) for name, scene in loaded.items()}
-        lights["grace"] = ptt.Environment.load(data / "hdri" / "grace.hdr")
-    table.row("read bandwidth", read_bandwidth() / 1e9, "GB/s", f"sum of 400 MB; {setting()}")
-    name, scene = next(iter(scenes.items()))
-    coefficients(table, name, scene, lights, 30 if quick else 200, 256 if quick else 2048, 3 if quick else 4)
+        lights |= {name: ptt.Environment.load(data / "hdri" / f"{name}.hdr") for name in ("grace", "uffizi")}
+    bandwidth, peak = read_bandwidth(), products_per_second()
+    table.row("read bandwidth", bandwidth / 1e9, "GB/s", f"sum of 400 MB; {setting()}")
+    table.row("products", peak / 1e9, "1/ns", f"of a float32 matrix product; {setting()}")
     for name, scene in scenes.items():
-        frames(table, name, scene, next(reversed(lights.values())), quick)
-    storage(table)
+        frames(table, name, scene, next(reversed(lights.values())), peak, quick)
+    name, scene = next(iter(scenes.items()))
+    light_change(table, name, scene, next(reversed(lights.values())), quick)
+    kept(table, name, scene, next(reversed(lights.values())), quick)
+    extremes(table, name, scene)
+    coefficients(table, name, scene, lights, 30 if quick else 200, 256 if quick else 2048, 3 if quick else 4)
+    formulas(table)
     if not quick:
+        triple_pictures.all_figures(table, data)
         table.write()
 
 
@@ -73,6 +84,129 @@ def on_floor(vertices: Tensor, faces: Tensor, cells: int) -> ptt.Scene:
     return ptt.Scene.from_parts([Part("body", vertices, faces), Part("floor", plane + below, squares)], camera=seen)
 
 
+def products_per_second() -> float:
+    """Multiplications with addition that a matrix product in float32 does in a second."""
+    x = torch.rand(2048, 2048)
+    return 2048**3 / median_seconds(lambda: x @ x, 5)
+
+
+def frames(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, peak: float, quick: bool) -> None:
+    """Table 3: frames a second at 1024 x 768 when the view, or everything, changes; a light, and a BRDF."""
+    assert scene.camera is not None
+    width, height = (96, 72) if quick else (1024, 768)
+    camera = replace(scene.camera, width=width, height=height)
+    took = median_seconds(lambda: ptt.GBuffer.of(scene, camera), 3)
+    pixels = ptt.GBuffer.of(scene, camera)
+    where = f"{len(scene.vertices)} vertices, {len(pixels.pixel)} pixels of {width} x {height}; {setting()}"
+    table.row(f"table 3, {name}, G-buffer", 1e3 * took, "ms", where)
+    for kind in ("texture", "vertices"):
+        for level in (1, 2):
+            start = time.perf_counter()
+            atlas = ptt.Atlas.of(scene, 64 if quick else 1024 >> (level - 1)) if kind == "texture" else None
+            relighter = ptt.TripleProductRelighter(scene, level, atlas=atlas)
+            n = relighter.grid.cells
+            what, how = f"table 3, {name}, {kind}, {n}", f"{len(relighter.visibility)} rows of visibility; {where}"
+            table.row(f"{what}, built in", time.perf_counter() - start, "s", f"atlas and visibility; {how}")
+            relighter(light, GIVEN, pixels)
+
+            def another_view(relighter: ptt.TripleProductRelighter = relighter) -> None:
+                relighter._view = Cache()
+                relighter(light, GIVEN, pixels)
+
+            def another_buffer(relighter: ptt.TripleProductRelighter = relighter) -> None:
+                relighter._pixels = Cache()
+                relighter(light, GIVEN, pixels)
+
+            most = 2 * peak / (PRODUCTS * n * len(pixels.pixel))
+            limit = f"{most:.0f} by its products, twice as many a second in float16 as in float32"
+            others = {"goal": GOALS.get((kind, level), ""), "paper": PAPER[kind, level], "limit": limit}
+            table.row(f"{what}, frames", 1 / median_seconds(another_view), "1/s", how, **others)
+            aside = f"all lookups anew, as for another G-buffer of the same size; {how}"
+            table.row(f"{what}, frames of new pixels", 1 / median_seconds(another_buffer), "1/s", aside, limit=limit)
+            functions, coats, points = relighter.prepared(light, GIVEN, pixels)
+            nearest = points._replace(light=points.light.one(), seen=points.seen.one(), view=points.view.one())
+            both = [median_seconds(lambda p=p: native.shade(functions, coats, p)) for p in (points, nearest)]  # type: ignore[misc]  # noqa: B023
+            aside = f"of {1e3 * both[0]:.1f} ms, over the nearest frame, texel and view alone; {how}"
+            table.row(f"{what}, interpolation", 1e3 * (both[0] - both[1]), "ms", aside)
+            for kind_of, shape in (("isotropic", ptt.BlinnPhong(17.0)), ("brushed", ptt.Ward(0.1, 0.5))):
+                took = median_seconds(lambda r=relighter, s=shape: r._table(s), 3)  # type: ignore[misc]
+                table.row(f"{what}, an edited BRDF, {kind_of}", took, "s", how, "<= 0.2", paper="2 to 3 s")
+
+
+def light_change(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, quick: bool) -> None:
+    """The rotation operator against tables that were rotated before: time, bytes, error against the path tracer."""
+    assert scene.camera is not None
+    camera = replace(scene.camera, width=160, height=120)
+    pixels = ptt.GBuffer.of(scene, camera)
+    index = torch.randperm(len(pixels.pixel), generator=torch.Generator().manual_seed(0))[:COMPARED]
+    truth = traced(scene, light, GIVEN, pixels, index, 256 if quick else 2048)
+    for level in (1, 2) if quick else (1, 2, 3):
+        relighter = ptt.TripleProductRelighter(scene, level)
+        what = f"light change, {name}, {relighter.grid.cells}"
+        count_of = len(relighter.frames) * relighter.twists
+        how = f"{count_of} frames; error: of {len(index)} pixels under the last map, with shadows; {setting()}"
+        turned: Iterator[ptt.Environment] = (light.rotated(y=k) for k in count(1))
+        took = median_seconds(lambda r=relighter: r.incident(next(turned)))  # type: ignore[misc]  # noqa: B023
+        table.row(f"{what}, on the fly, time", took, "s", how)
+        held = sum(x.numel() * x.element_size() for x in (relighter.starts, relighter.reads))
+        table.row(f"{what}, on the fly, bytes of the operator", held / 1e6, "MB", how)
+        start = time.perf_counter()
+        before = relighter.prerotated(light)
+        table.row(f"{what}, rotated before, time", time.perf_counter() - start, "s", how, paper="minutes")
+        table.row(f"{what}, rotated before, bytes of a light", before.bytes / 1e6, "MB", how)
+        for kind, given in (("on the fly", light), ("rotated before", before)):
+            error = ptt.relative_rmse(relighter(given, GIVEN, pixels)[index], truth)
+            table.row(f"{what}, {kind}, error", error, "relative RMSE", how)
+
+
+def traced(
+    scene: ptt.Scene,
+    light: ptt.Environment,
+    given: Mapping[str, ptt.Material],
+    pixels: ptt.GBuffer,
+    index: Tensor,
+    samples: int,
+) -> Tensor:
+    """Radiance of some pixels by the path tracer, direct light with shadows."""
+    parts = (x[index] for x in (pixels.positions, pixels.frames, pixels.region, pixels.colours))
+    points = reference.Points(*parts)
+    return reference.radiance(
+        scene, light, given, points, pixels.camera.toward(points.position), samples=samples
+    ).mean.float()
+
+
+def kept(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, quick: bool) -> None:
+    """Storage in 8 and 16 bits and in float: bytes, frames a second, error against float."""
+    assert scene.camera is not None
+    camera = replace(scene.camera, width=96, height=72) if quick else replace(scene.camera, width=1024, height=768)
+    pixels, exact = ptt.GBuffer.of(scene, camera), None
+    for storage in get_args(Storage):
+        relighter = ptt.TripleProductRelighter(scene, 2, storage=storage)
+        functions, coats, points = relighter.prepared(light, GIVEN, pixels)
+        radiance = relighter(light, GIVEN, pixels)
+        exact = radiance if exact is None else exact
+        what, how = f"storage, {name}, 320, {storage}", f"{len(pixels.pixel)} pixels; {setting()}"
+        table.row(f"{what}, light", functions.light.bytes / 1e6, "MB", how)
+        table.row(f"{what}, BRDFs", functions.glossy.bytes / 1e6, "MB", f"two materials; {how}")
+        table.row(f"{what}, visibility", functions.visibility.numel() / 1e6, "MB", f"8 bits, of vertices; {how}")
+        table.row(f"{what}, error", ptt.relative_rmse(radiance, exact), "relative RMSE", f"against float; {how}")
+        took = median_seconds(lambda p=(functions, coats, points): native.shade(*p))  # type: ignore[misc]
+        table.row(f"{what}, frames", 1 / took, "1/s", f"products alone; {how}")
+
+
+def extremes(table: Table, name: str, scene: ptt.Scene) -> None:
+    """Dim and bright light, a sun of 1e9 in one texel."""
+    relighter, sky = ptt.TripleProductRelighter(scene, 1), ptt.Environment.sun_sky(radius=10.0)
+    whole = relighter(sky, GIVEN, scene.camera)
+    for factor in (1e-6, 1e6):
+        error = ptt.relative_rmse(relighter(sky.scaled(factor), GIVEN, scene.camera) / factor, whole)
+        table.row(f"extremes, {name}, light times {factor:g}", error, "relative RMSE", "over the factor", "<= 1e-3")
+    sun = sky.map.clone()
+    sun[len(sun) // 4, 10] = 1e9
+    finite = float(relighter(ptt.Environment(sun), GIVEN, scene.camera).isfinite().float().mean())
+    table.row(f"extremes, {name}, a sun of 1e9 in one texel", finite, "share of finite values", "", ">= 1")
+
+
 def coefficients(
     table: Table, name: str, scene: ptt.Scene, lights: dict[str, ptt.Environment], some: int, samples: int, finest: int
 ) -> None:
@@ -82,81 +216,44 @@ def coefficients(
     index = seen[torch.randperm(len(seen), generator=torch.Generator().manual_seed(0))[:some]]
     frames, points = scene.frames[index], reference.Points(*(x[index] for x in reference.vertex_points(scene)))
     toward = scene.camera.toward(points.position)
-    wo = torch.einsum("vax,vx->va", frames, toward)
     grid = Geodesic(finest)
     visible = local.visibility(scene.surface, points.position, frames, grid, 2).float() / 255
     for light_name, light in lights.items():
-        values = light.project(Octahedral(128)).reshape(-1, 3)
-        s = rotation.resampling(Octahedral(128), grid, frames, 4)
-        local_light = rotation.resample(values, s).reshape(some, grid.cells, 3).transpose(1, 2)
+        local_light = triple_pictures.local_light(light, grid, frames)
         for kind, material in MATERIALS.items():
-            factor = material.diffuse[:, None] * local.cosine(grid)
-            if material.shape is not None:
-                table_ = torch.cat([local.brdf(material.shape.evaluate, grid, o[None], 2) for o in wo])
-                factor = factor + material.specular[:, None] * table_[:, None]
+            factor = triple_pictures.local_brdf(material, grid, torch.einsum("vax,vx->va", frames, toward))
             given = {region.name: material for region in scene.regions}
             truth = reference.radiance(scene, light, given, points, toward, samples=samples)
             noise = float(truth.standard_error.norm() / truth.mean.norm())
-            three = [geodesic.analyse(x) for x in (local_light, visible[:, None], factor.expand(some, 3, -1))]
+            three = [geodesic.analyse(x) for x in (local_light, visible[:, None].expand(-1, 3, -1), factor)]
             for level in range(finest + 1):
                 keep, what = 20 << 2 * level, f"figure 8, {light_name}, {kind}"
-                top = triple.quadrature(*(triple.top_only(x, keep) for x in three))
                 how = f"{name} on a floor, {some} vertices; noise of the reference {noise:.4f}"
-                error = ptt.relative_rmse(top, truth.mean)
-                table.row(f"{what}, {keep} coefficients, top-only", error, "relative RMSE", how)
-                weights = geodesic.areas(finest).sqrt().float()
-                cut = [haar.truncate(x.contiguous(), keep, weights) for x in three]
-                error = ptt.relative_rmse(triple.adaptive(*cut, grid.cells), truth.mean)
-                table.row(f"{what}, {keep} coefficients, adaptive", error, "relative RMSE", how)
+                cut = [haar.truncate(x.flatten(0, 1), keep, triple_pictures.weights(grid)) for x in three]
+                top = [triple.top_only(x, keep) for x in three]
+                for strategy, product in (
+                    ("top-only", lambda t=top: triple.quadrature(*t)),
+                    ("adaptive", lambda c=cut: native.adaptive(*c, grid.cells).reshape(-1, 3)),
+                ):
+                    error = ptt.relative_rmse(product(), truth.mean)
+                    table.row(f"{what}, {strategy}, {keep}", error, "relative RMSE", how)
+                    if light_name == next(iter(lights)):
+                        took = median_seconds(product) / (3 * some)
+                        aside = f"a product of three, compiled tree or torch's quadrature; {how}; {setting()}"
+                        table.row(f"time of a product, {kind}, {strategy}, {keep}", 1e6 * took, "us", aside)
 
 
-def frames(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, quick: bool) -> None:
-    """Table 3: frames a second at 1024 x 768, the G-buffer cached; a change of light, of a BRDF, of the camera."""
-    assert scene.camera is not None
-    width, height = (96, 72) if quick else (1024, 768)
-    camera = replace(scene.camera, width=width, height=height)
-    took = median_seconds(lambda: ptt.GBuffer.of(scene, camera), 3)
-    pixels = ptt.GBuffer.of(scene, camera)
-    where = f"{len(scene.vertices)} vertices, {len(pixels.pixel)} pixels of {width} x {height}; {setting()}"
-    table.row(f"table 3, {name}, G-buffer", 1e3 * took, "ms", where)
-    start = time.perf_counter()
-    atlas = ptt.Atlas.of(scene, 64 if quick else 1024)
-    texels = len(atlas.triangle)
-    table.row(f"table 3, {name}, atlas made in", time.perf_counter() - start, "s", f"{texels} texels; {where}")
-    given = {"body": ptt.fitted("gold-metallic-paint"), "floor": ptt.blinn_phong(0.5, 0.2, 20.0)}
-    for kind, held in {"texture": atlas, "vertices": None}.items():
-        for level in (1, 2):
-            if kind == "texture" and level == 2 and not quick:
-                held = ptt.Atlas.of(scene, 512)
-            start = time.perf_counter()
-            relighter = ptt.TripleProductRelighter(scene, level, atlas=held)
-            n = relighter.grid.cells
-            what, how = f"table 3, {name}, {kind}, {n}", f"{len(relighter.visibility)} rows of visibility; {where}"
-            table.row(f"{what}, built in", time.perf_counter() - start, "s", how)
-            relighter(light, given, pixels)
-            took = median_seconds(lambda: relighter(light, given, pixels))  # noqa: B023
-            goal = GOALS.get((kind, level), "")
-            table.row(f"{what}, frames", 1 / took, "1/s", how, goal, paper=PAPER[kind, level])
-            turned: Iterator[ptt.Environment] = (light.rotated(y=k) for k in count(1))
-            took = median_seconds(lambda: relighter.incident(next(turned)))  # noqa: B023
-            rotated = f"{len(relighter.frames) * relighter.twists} frames"
-            table.row(f"{what}, light rotated", 1e3 * took, "ms", f"{rotated}; {how}")
-            start = time.perf_counter()
-            relighter._table(ptt.BlinnPhong(17.0 + level))
-            goal = "<= 0.2" if level == 1 else ""
-            table.row(f"{what}, an edited BRDF", time.perf_counter() - start, "s", how, goal, paper="2 to 3 s")
-
-
-def storage(table: Table) -> None:
-    """Table 1: global against local frames by the paper's formulas, in its bytes (RGB light, 1 byte each)."""
-    light, rotations, views, materials = 5120, 32 * 16 * 32, 128 * 64, 1
-    normals = 32 * 16
-    for name, n in (("5120", light), ("320", 320), ("80", 80)):
-        local_frames = 3 * rotations * n + materials * views * n
-        global_frames = 3 * n + materials * normals * views * n
+def formulas(table: Table) -> None:
+    """Table 1: global against local frames by the paper's formulas, one byte a number, RGB light."""
+    rotations, views, normals = 32 * 16 * 32, 128 * 64, 32 * 16
+    for n in (5120, 320, 80):
         how = "without visibility; light in three channels, one material, one byte a number"
-        table.row(f"table 1, {name} coefficients, local frames", local_frames / 1e6, "MB", how)
-        table.row(f"table 1, {name} coefficients, global frames", global_frames / 1e6, "MB", how)
+        own, world = 3 * rotations * n + views * n, 3 * n + normals * views * n
+        table.row(f"table 1, {n} coefficients, local frames", own / 1e6, "MB", how)
+        table.row(f"table 1, {n} coefficients, global frames", world / 1e6, "MB", how)
+        frames = 22 * 22 * 32
+        own = 3 * frames * n + 90 * 90 * n
+        table.row(f"table 1, {n} coefficients, local frames here", own / 1e6, "MB", f"22 x 22 x 32 frames; {how}")
 
 
 if __name__ == "__main__":

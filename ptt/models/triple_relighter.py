@@ -142,6 +142,13 @@ class TripleProductRelighter(nn.Module):
             ValueError: an unknown region, a view of another shape, light of another relighter, or a shape whose
                 parameters carry gradients.
         """
+        radiance: Tensor = (native if self.compiled else shade).shade(*self.prepared(light, materials, view))
+        return radiance
+
+    def prepared(
+        self, light: Environment | Table, materials: Mapping[str, Material | Mixed], view: View | GBuffer
+    ) -> tuple[Functions, Coats, Points]:
+        """What `ops.shade.shade` multiplies; `forward` is that function of these."""
         own = list(dressed(self.scene.materials, materials, mixed=True).values())
         at = self._located(view)
         eye = (
@@ -153,9 +160,7 @@ class TripleProductRelighter(nn.Module):
         coats, glossy = self._coats(own)
         rotated = self._checked(light) if isinstance(light, Table) else self.incident(light)
         points = Points(at.light, at.seen, seen_from, at.region, at.colour, second)
-        functions = Functions(rotated, self.visibility, self.dull, glossy)
-        radiance: Tensor = (native if self.compiled else shade).shade(functions, coats, points)
-        return radiance
+        return Functions(rotated, self.visibility, self.dull, glossy), coats, points
 
     def incident(self, environment: Environment) -> Table:
         """Light step: the light (f, 3, n) in every frame, by the rotation operator."""
