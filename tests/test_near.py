@@ -57,6 +57,29 @@ def test_frames_of_neighbours_are_near() -> None:
     assert float(tangent.min()) > math.cos(math.pi / twists + 2 * math.sqrt(2) * math.pi / n)
 
 
+def test_between_two_turns() -> None:
+    """A tangent between two turns has the mean of them: their angle is its own; the normals are weighed as ever."""
+    normal = own(8)[10]
+    angle = torch.tensor([0.0, 0.3, 3.1, 6.2])
+    frames = rotation.frames_of(normal[2]) @ torch.eye(3)
+    turned_frames = torch.stack([turned_by(float(a)) @ frames for a in angle])
+    found = near.of_frames(turned_frames, own(8), 16, between=True)
+    sums_to_one(found)
+    assert found.rows.shape == (4, 8)
+    turns = ((found.rows % 16).unflatten(1, (4, 2)) * found.weights.unflatten(1, (4, 2))).sum(2)
+    pair = found.weights.unflatten(1, (4, 2)).sum(2).argmax(1)
+    got = turns.gather(1, pair[:, None])[:, 0] * (2 * math.pi / 16)
+    torch.testing.assert_close(got[:3], angle[:3], rtol=0, atol=1e-4)
+    torch.testing.assert_close(
+        near.of_frames(turned_frames, own(8), 16).weights, found.weights.unflatten(1, (4, 2)).sum(2)
+    )
+
+
+def turned_by(angle: float) -> Tensor:
+    c, s = math.cos(angle), math.sin(angle)
+    return torch.tensor([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
 def test_kernels(built: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """As the plain functions but for turns that are nearly between two."""
     frames, g = frames_of(POINTS), torch.Generator().manual_seed(1)
@@ -68,6 +91,7 @@ def test_kernels(built: None, monkeypatch: pytest.MonkeyPatch) -> None:
     texels = torch.randint(999, (32 * 32,), generator=g).int()
     cases = [
         ("of_frames", (frames, own(10), 32)),
+        ("of_frames", (frames, own(10), 32, True)),
         ("of_views", (frames, positions, eye, 24)),
         ("of_views", (frames, positions, away, 24)),
         ("of_texels", (uv, triangle, barycentric, texels)),

@@ -30,7 +30,11 @@ def scene(n: int, p: int = 37, k: int = 4, j: int = 4, i: int = 1, storage: torc
     coats = Coats(torch.rand(i, 3, 3, generator=g), specular, torch.randint(2, (i, 3), generator=g).int() * 9)
     region, second = torch.randint(3, (p,), generator=g).int(), torch.rand(p, generator=g)
     second[:3] = torch.tensor([0.0, 1.0, 0.5])
-    return functions, coats, Points(near(k, 6), near(j, 7), near(k, 9), region, torch.rand(p, 3, generator=g), second)
+    return (
+        functions,
+        coats,
+        Points(near(k, 6), near(j, 7), near(min(k, 4), 9), region, torch.rand(p, 3, generator=g), second),
+    )
 
 
 def test_the_sum_written_out() -> None:
@@ -74,7 +78,7 @@ def test_stored_keeps_what_has_gradients_or_more_digits() -> None:
 
 
 @pytest.mark.parametrize("n", [20, 80, 320, 1280])
-@pytest.mark.parametrize(("k", "j"), [(1, 1), (4, 1), (4, 3), (4, 4)])
+@pytest.mark.parametrize(("k", "j"), [(1, 1), (4, 1), (4, 3), (4, 4), (8, 1), (8, 3), (8, 4)])
 @pytest.mark.parametrize("i", [1, 2])
 @pytest.mark.parametrize("storage", STORAGE, ids=str)
 def test_kernel(

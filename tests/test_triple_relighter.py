@@ -145,7 +145,7 @@ def test_refuses(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) 
 
 def test_two_materials_on_a_region_are_mixed(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) -> None:
     """Linear in the share, which is interpolated; a share of 0 or 1 is one material alone."""
-    first, second = ptt.blinn_phong((0.1, 0.5, 0.2), 0.3, 30.0), ptt.ward(0.4, 0.2, 0.3, 0.1)
+    first, second = ptt.blinn_phong((0.1, 0.5, 0.2), 0.3, 30.0), ptt.ggx(0.4, 0.2, 0.3, 0.4)
     pixels = ptt.GBuffer.of(small_scene, small_scene.camera)
     share = torch.rand(len(small_scene.vertices), generator=torch.Generator().manual_seed(0))
     share[:50] = torch.arange(50) % 2

@@ -63,7 +63,7 @@ class TripleProductRelighter(nn.Module):
     scene: whose vertices are relit; per pixel, give a `GBuffer` as the view: visibility is mixed from the vertices'
     level: of the triangles that the three functions are given on: 1 for 80 of them, 2 for 320, 3 for 1280
     normals, twists: frames that light is rotated into: those of an octahedral map of normals, each turned about it
-    source: cells along the edge of the light's octahedral map
+    source: cells along the edge of the light's octahedral map; None for three or more a triangle, 32 at least
     views: along the edge of the hemi-octahedral map of view directions; 90 x 90 are as many as the paper's 128 x 64
     rays: along the edge of a triangle, for visibility, a power of two
     storage: of light and BRDFs (`Storage`); visibility has 8 bits
@@ -75,8 +75,8 @@ class TripleProductRelighter(nn.Module):
     unchanged. Differentiable in the map and in the weights of the materials.
 
     Departures from the paper: normals lie on an octahedral map, 22 x 22 for its 32 x 16, so that poles are no
-    exception, and the tangent's angle is that to a normal's own frame; light is rotated on the fly, from about 6 or 12
-    cells a triangle, in place of tables that take minutes (`prerotated` makes them).
+    exception, and the tangent's angle is that to a normal's own frame; light is rotated on the fly, from three cells a
+    triangle or more, in place of tables that take minutes (`prerotated` makes them).
 
     Example:
         >>> relighter = TripleProductRelighter(scene, level=1)
@@ -99,7 +99,7 @@ class TripleProductRelighter(nn.Module):
         *,
         normals: int = 22,
         twists: int = 32,
-        source: int = 32,
+        source: int | None = None,
         views: int = 90,
         rays: int = 2,
         storage: Storage = "16-bit",
@@ -115,6 +115,7 @@ class TripleProductRelighter(nn.Module):
         if storage not in STORAGE:
             raise ValueError(f"storage must be one of {', '.join(STORAGE)}, got {storage!r}")
         self.scene, self.atlas, self.grid, self.storage = scene, atlas, Geodesic(level), STORAGE[storage]
+        source = max(32, 8 << level) if source is None else source
         self.normals, self.twists, self.source, self.views, self.compiled = normals, twists, source, views, compiled
         own = rotation.frames_of(Octahedral(normals).directions().reshape(-1, 3))
         _check_memory(self.grid.cells, len(own) * twists, views**2, len(atlas.triangle if atlas else scene.vertices))
@@ -150,7 +151,7 @@ class TripleProductRelighter(nn.Module):
     ) -> tuple[Functions, Coats, Points]:
         """What `ops.shade.shade` multiplies; `forward` is that function of these."""
         own = list(dressed(self.scene.materials, materials, mixed=True).values())
-        at = self._located(view)
+        at = self._located(view, brushed=any(map(_brushed, own)))
         eye = (
             torch.tensor(view.camera.eye).to(at.positions) if isinstance(view, GBuffer) else toward(view, at.positions)
         )
@@ -197,20 +198,20 @@ class TripleProductRelighter(nn.Module):
         table: Table = ops.resampled_values(values, s, self.grid.cells, self.storage)
         return table
 
-    def _located(self, view: View | GBuffer) -> Located:
+    def _located(self, view: View | GBuffer, brushed: bool) -> Located:
         scene = self.scene
         if isinstance(view, GBuffer):
             surface = view.positions, view.frames, view.region.int(), view.colours, view.triangle, view.barycentric
-            located: Located = self._pixels((view, watched(self)), lambda: self._of(*surface))
+            located: Located = self._pixels((view, brushed, watched(self)), lambda: self._of(*surface, brushed))
             return located
 
         def vertices() -> Located:
             corner = torch.zeros(len(scene.vertices), dtype=torch.int64)
             corner[scene.faces.flatten()] = torch.arange(scene.faces.numel())
             where = corner // 3, nn.functional.one_hot(corner % 3, 3).float()
-            return self._of(scene.points, scene.frames, scene.vertex_region.int(), scene.colours, *where)
+            return self._of(scene.points, scene.frames, scene.vertex_region.int(), scene.colours, *where, brushed)
 
-        located = self._vertices(watched(self), vertices)
+        located = self._vertices((brushed, watched(self)), vertices)
         return located
 
     def _of(
@@ -221,9 +222,10 @@ class TripleProductRelighter(nn.Module):
         colour: Tensor,
         triangle: Tensor,
         barycentric: Tensor,
+        brushed: bool,
     ) -> Located:
         ops, device = native if self.compiled else near, self.dull.device
-        light = ops.of_frames(frames, self.frames.cpu(), self.twists)
+        light = ops.of_frames(frames, self.frames.cpu(), self.twists, brushed)
         if self.atlas is not None:
             seen = ops.of_texels(self.atlas.corner_uv, triangle, barycentric, self.atlas.rows)
         else:
@@ -269,6 +271,12 @@ class TripleProductRelighter(nn.Module):
         if light.values.shape != expected:
             raise ValueError(f"light must be {expected}, rotated by this relighter, got {tuple(light.values.shape)}")
         return light
+
+
+def _brushed(material: Material | Mixed) -> bool:
+    """Whether a material looks another way when it is turned: then light is interpolated between twists too."""
+    both = (material.first, material.second) if isinstance(material, Mixed) else (material,)
+    return any(m.shape is not None and not m.shape.isotropic for m in both)
 
 
 def turned(frames: Tensor, twists: int) -> Tensor:

@@ -1,6 +1,6 @@
 """Where the functions of points lie in their tables: between frames of light, directions of view, texels of an atlas.
 
-Each is a bilinear lookup of four rows. Weights are not negative and sum to 1.
+Each is a bilinear lookup of four rows, or of four pairs. Weights are not negative and sum to 1.
 """
 
 from __future__ import annotations
@@ -31,14 +31,22 @@ class Near(NamedTuple):
         return Near(self.rows.gather(1, largest), torch.ones_like(self.weights[:, :1]))
 
 
-def of_frames(frames: Tensor, sampled: Tensor, twists: int) -> Near:
+def of_frames(frames: Tensor, sampled: Tensor, twists: int, between: bool = False) -> Near:
     """Of frames (p, 3, 3) among sampled ones (n * n, 3, 3), each with so many turns of its tangent.
 
-    sampled: of the normals `Octahedral(n).directions()`; row = twists * normal + turn, the nearest turn
+    sampled: of the normals `Octahedral(n).directions()`; row = twists * normal + turn
+    between: of each the two turns on either side (p, 8), for brushed materials; else the nearest (p, 4)
     """
     at = slices.located(frames[:, 2], frames, sampled)
-    turn = (at.twist * (twists / (2 * math.pi))).round().int() % twists
-    return Near((at.near * twists + turn).T.contiguous(), at.weights.T.contiguous())
+    turn = at.twist.T * (twists / (2 * math.pi))
+    normal = at.near.T * twists
+    if not between:
+        return Near(normal + turn.round().int() % twists, at.weights.T.contiguous())
+    first = turn.floor()
+    share = turn - first
+    rows = torch.stack([normal + (first.int() + k) % twists for k in range(2)], 2)
+    weights = torch.stack((1 - share, share), 2) * at.weights.T[..., None]
+    return Near(rows.flatten(1), weights.flatten(1))
 
 
 def of_views(frames: Tensor, positions: Tensor, eye: Tensor, views: int) -> Near:

@@ -25,14 +25,17 @@ static inline Lanes angle(Lanes y, Lanes x) {
     return r * 0.159154943f;
 }
 
-// frames (p, 3, 3) among sampled ones (n * n, 3, 3)
+// frames (p, 3, 3) among sampled ones (n * n, 3, 3); `between`: rows, weights (p, 4, 2)
 extern "C" void ptt_near_frames(const float *frames, const float *sampled, int32_t *rows, float *weights, int64_t points,
-                                int64_t n, int64_t twists, int threads) {
+                                int64_t n, int64_t twists, int between, int threads) {
+    const int32_t all_around = twists;
     by_lanes(points, threads, [=](int64_t p) {
         const float *first = frames + 9 * p;
         Lanes tangent[3], normal[3];
         for (int c = 0; c < 3; ++c) tangent[c] = gather(first + c, 9 * lane()), normal[c] = gather(first + 6 + c, 9 * lane());
         Corners at = on_sphere(normal, n);
+        Lanes share[4];
+        Ints next[4];
         for (int k = 0; k < 4; ++k) {
             Lanes own[3][3];
             for (int a = 0; a < 3; ++a)
@@ -41,13 +44,21 @@ extern "C" void ptt_near_frames(const float *frames, const float *sampled, int32
             const Lanes lean = dot(tangent, own[2]) / most(1.0f + dot(normal, own[2]), all(1e-6f));
             const Lanes x = dot(tangent, own[0]) - lean * dot(normal, own[0]);
             const Lanes y = dot(tangent, own[1]) - lean * dot(normal, own[1]);
-            const Lanes turned = angle(y, x) * (float)twists;  // -twists / 2..twists / 2
-            Ints turn = whole(turned + (float)twists + 0.5f) - (int32_t)twists;
-            turn = turn < 0 ? turn + (int32_t)twists : turn;
-            turn = turn >= (int32_t)twists ? turn - (int32_t)twists : turn;
-            at.cell[k] = at.cell[k] * (int32_t)twists + turn;
+            // in 0..2 twists
+            const Lanes turned = (angle(y, x) + 1.0f) * (float)twists + (between ? 0.0f : 0.5f);
+            Ints turn = whole(turned), after = turn + 1;
+            share[k] = turned - real(turn);
+            turn = turn >= all_around ? turn - all_around : turn, after = after >= all_around ? after - all_around : after;
+            turn = turn >= all_around ? turn - all_around : turn, after = after >= all_around ? after - all_around : after;
+            next[k] = at.cell[k] * all_around + after, at.cell[k] = at.cell[k] * all_around + turn;
         }
-        put(at, rows, weights, p);
+        if (!between) return put(at, rows, weights, p);
+        for (int l = 0; l < LANES; ++l)
+            for (int k = 0; k < 4; ++k) {
+                const int64_t i = 8 * (p + l) + 2 * k;
+                rows[i] = at.cell[k][l], rows[i + 1] = next[k][l];
+                weights[i + 1] = at.weight[k][l] * share[k][l], weights[i] = at.weight[k][l] - weights[i + 1];
+            }
     });
 }
 

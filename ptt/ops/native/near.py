@@ -16,14 +16,15 @@ from ptt.ops.near import Near
 FEWEST = 16  # points: the kernels take as many at once
 
 
-def of_frames(frames: Tensor, sampled: Tensor, twists: int) -> Near:
+def of_frames(frames: Tensor, sampled: Tensor, twists: int, between: bool = False) -> Near:
     """As `ptt.ops.near.of_frames`."""
     kernels = library() if len(frames) >= FEWEST and ready(frames, sampled) else None
     if kernels is None:
-        return plain.of_frames(frames, sampled, twists)
-    out, (frames, sampled) = _empty(len(frames)), (frames.contiguous(), sampled.contiguous())
+        return plain.of_frames(frames, sampled, twists, between)
+    out, (frames, sampled) = _empty(len(frames), 4 + 4 * between), (frames.contiguous(), sampled.contiguous())
     sizes = map(c_int64, (len(frames), math.isqrt(len(sampled)), twists))
-    kernels.ptt_near_frames(*map(address, (frames, sampled, *out)), *sizes, c_int(torch.get_num_threads()))
+    last = c_int(between), c_int(torch.get_num_threads())
+    kernels.ptt_near_frames(*map(address, (frames, sampled, *out)), *sizes, *last)
     return out
 
 
@@ -52,5 +53,5 @@ def of_texels(corner_uv: Tensor, triangle: Tensor, barycentric: Tensor, rows: Te
     return out
 
 
-def _empty(points: int) -> Near:
-    return Near(torch.empty(points, 4, dtype=torch.int32), torch.empty(points, 4))
+def _empty(points: int, rows: int = 4) -> Near:
+    return Near(torch.empty(points, rows, dtype=torch.int32), torch.empty(points, rows))

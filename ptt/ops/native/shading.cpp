@@ -81,7 +81,7 @@ static inline void sums_of(const Lanes *x, float *out) {
 }
 
 // As shading.py lays it out: light (f, 3, n), visibility (v, n), dull (n), glossy (o, n), and the scale of their rows;
-// rows and weights of light (p, k), of visibility (p, j), of the view (p, k); region, second (p), colour, out (p, 3);
+// rows and weights of light (p, l), of visibility (p, j), of the view (p, k); region, second (p), colour, out (p, 3);
 // of the coats, diffuse and specular (i, r, 3), start (i, r). kind: 0 for float32, 1 for 16 bits, 2 for 8 bits, in which
 // `dull` has 16.
 struct Shade {
@@ -183,20 +183,22 @@ static inline void sum_up(const D *dull, int64_t n, const Light &light, const Gl
     for (int i = 0; i <= I; ++i) sums_of(total[i], out + 4 * i);
 }
 
-// A block of points: K frames of light and directions of view, J rows of visibility, I coats that shine: none, or all.
-template <class V, class T, int K, int J, int I>
+// A block of points: L frames of light, K directions of view, J rows of visibility, I coats that shine: none, or all.
+template <class V, class T, int L, int K, int J, int I>
 static void shade(const Shade &g, int64_t p, int count, Ints at, Ints region) {
     typedef typename std::conditional<sizeof(T) == 4, float, Half>::type Dull;
-    Rows<V, T, K> lights, views[I ? I : 1];
+    Rows<V, T, L> lights;
+    Rows<V, T, K> views[I ? I : 1];
     Rows<V, uint8_t, J> seen;
-    lights.find(g.light, g.light_scale, 3 * g.n, g.light_rows + K * p, g.light_weights + K * p, at, Ints{});
+    lights.find(g.light, g.light_scale, 3 * g.n, g.light_rows + L * p, g.light_weights + L * p, at, Ints{});
     seen.find(g.visibility, nullptr, g.n, g.seen_rows + J * p, g.seen_weights + J * p, at, Ints{});
     for (int i = 0; i < I; ++i)
         views[i].find(g.glossy, g.glossy_scale, g.n, g.view_rows + K * p, g.view_weights + K * p, at,
                       (Ints)gather((const float *)g.start + i * g.regions, region));
     float sums[LANES][I + 1][4];
     for (int l = 0; l < count; ++l) {
-        Mix<V, T, K> light, glossy[I ? I : 1];
+        Mix<V, T, L> light;
+        Mix<V, T, K> glossy[I ? I : 1];
         Mix<V, uint8_t, J> visible;
         light.take(lights, l), visible.take(seen, l);
         for (int i = 0; i < I; ++i) glossy[i].take(views[i], l);
@@ -219,7 +221,7 @@ static void shade(const Shade &g, int64_t p, int count, Ints at, Ints region) {
     }
 }
 
-template <class V, class T, int K, int J>
+template <class V, class T, int L, int K, int J>
 static void shade_block(const Shade &g, int64_t p, int count) {
     const Ints at = clamp(lane(), count - 1), region = (Ints)gather((const float *)g.region + p, at);
     bool shines = false;
@@ -227,19 +229,22 @@ static void shade_block(const Shade &g, int64_t p, int count) {
         for (int c = 0; c < 3; ++c)
             for (int l = 0; l < count; ++l) shines |= g.specular[3 * (i * g.regions + region[l]) + c] != 0;
     switch (shines ? g.coats : 0) {
-        case 0: return shade<V, T, K, J, 0>(g, p, count, at, region);
-        case 1: return shade<V, T, K, J, 1>(g, p, count, at, region);
-        case 2: return shade<V, T, K, J, 2>(g, p, count, at, region);
+        case 0: return shade<V, T, L, K, J, 0>(g, p, count, at, region);
+        case 1: return shade<V, T, L, K, J, 1>(g, p, count, at, region);
+        case 2: return shade<V, T, L, K, J, 2>(g, p, count, at, region);
     }
 }
 
 template <class V, class T>
 static inline void shade_typed(const Shade &g, int64_t p, int count) {
-    if (g.lights == 1) return shade_block<V, T, 1, 1>(g, p, count);
-    switch (g.vertices) {
-        case 1: return shade_block<V, T, 4, 1>(g, p, count);
-        case 3: return shade_block<V, T, 4, 3>(g, p, count);
-        case 4: return shade_block<V, T, 4, 4>(g, p, count);
+    switch (8 * g.lights + g.vertices) {
+        case 8 * 1 + 1: return shade_block<V, T, 1, 1, 1>(g, p, count);
+        case 8 * 4 + 1: return shade_block<V, T, 4, 4, 1>(g, p, count);
+        case 8 * 4 + 3: return shade_block<V, T, 4, 4, 3>(g, p, count);
+        case 8 * 4 + 4: return shade_block<V, T, 4, 4, 4>(g, p, count);
+        case 8 * 8 + 1: return shade_block<V, T, 8, 4, 1>(g, p, count);
+        case 8 * 8 + 3: return shade_block<V, T, 8, 4, 3>(g, p, count);
+        case 8 * 8 + 4: return shade_block<V, T, 8, 4, 4>(g, p, count);
     }
 }
 

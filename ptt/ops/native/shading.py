@@ -14,7 +14,8 @@ from ptt.ops.native.kernels import library
 from ptt.ops.shade import Coats, Functions, Points
 
 KINDS = {torch.float32: 0, torch.float16: 1, torch.uint8: 2}  # of numbers in light and glossy
-LIGHTS, SEEN, COATS = (1, 4), {1: (1,), 4: (1, 3, 4)}, (1, 2)  # rows that are interpolated
+SEEN, VIEWS = {1: (1,), 4: (1, 3, 4), 8: (1, 3, 4)}, {1: 1, 4: 4, 8: 4}  # rows that are interpolated, by those of light
+COATS = 1, 2
 
 POINTERS = (
     *("light", "dull", "glossy", "visibility", "light_scale", "glossy_scale"),
@@ -64,7 +65,7 @@ def _fits(functions: Functions, coats: Coats, at: Points) -> bool:
     k, j = at.light.rows.shape[1], at.seen.rows.shape[1]
     shapes = light.shape[1:] == (3, n) and visibility.shape[1:] == (n,) == glossy.shape[1:]
     shapes = shapes and by.shape == light.shape[:1] and of.shape == glossy.shape[:1]
-    shapes = shapes and k in LIGHTS and j in SEEN[k] and i in COATS and at.view.rows.shape[1] == k
+    shapes = shapes and k in SEEN and j in SEEN[k] and i in COATS and at.view.rows.shape[1] == VIEWS[k]
     shapes = shapes and all(near.rows.shape == near.weights.shape == (p, near.rows.shape[1]) for near in at[:3])
     shapes = shapes and at.region.shape == at.second.shape == (p,) and at.colour.shape == (p, 3)
     shapes = shapes and coats.diffuse.shape == coats.specular.shape == (i, r, 3)
