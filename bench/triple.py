@@ -33,6 +33,7 @@ from ptt.models.cache import Cache
 from ptt.models.triple_relighter import Storage
 from ptt.ops import geodesic, haar, local, mesh, native, triple
 from ptt.ops.geodesic import Geodesic
+from ptt.ops.shade import Functions, Points
 
 PAPER = {("texture", 1): "97 (25 K), 44 to 47 (50 K)", ("texture", 2): "38 (25 K), 17 to 18 (50 K)"}
 PAPER |= {("vertices", 1): "21 (25 K), 15 (50 K)", ("vertices", 2): "8.5 (25 K), 7 (50 K)"}
@@ -62,7 +63,7 @@ def main() -> None:
     table.row("read bandwidth", bandwidth / 1e9, "GB/s", f"sum of 400 MB; {setting()}")
     table.row("products", peak / 1e9, "1/ns", f"of a float32 matrix product; {setting()}")
     for name, scene in scenes.items():
-        frames(table, name, scene, next(reversed(lights.values())), peak, quick)
+        frames(table, name, scene, next(reversed(lights.values())), bandwidth, peak, quick)
     name, scene = next(iter(scenes.items()))
     light_change(table, name, scene, next(reversed(lights.values())), quick)
     kept(table, name, scene, next(reversed(lights.values())), quick)
@@ -90,7 +91,9 @@ def products_per_second() -> float:
     return 2048**3 / median_seconds(lambda: x @ x, 5)
 
 
-def frames(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, peak: float, quick: bool) -> None:
+def frames(
+    table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, bandwidth: float, peak: float, quick: bool
+) -> None:
     """Table 3: frames a second at 1024 x 768 when the view, or everything, changes; a light, and a BRDF."""
     assert scene.camera is not None
     width, height = (96, 72) if quick else (1024, 768)
@@ -117,13 +120,17 @@ def frames(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, pe
                 relighter._pixels = Cache()
                 relighter(light, GIVEN, pixels)
 
+            functions, coats, points = relighter.prepared(light, GIVEN, pixels)
             most = 2 * peak / (PRODUCTS * n * len(pixels.pixel))
-            limit = f"{most:.0f} by its products, twice as many a second in float16 as in float32"
+            size = bytes_of(functions, points)
+            limit = (
+                f"{most:.0f} by its products, float16 being twice as fast as float32; {bandwidth / size:.0f} to read "
+            )
+            limit += f"{size / 1e6:.0f} MB once"
             others = {"goal": GOALS.get((kind, level), ""), "paper": PAPER[kind, level], "limit": limit}
             table.row(f"{what}, frames", 1 / median_seconds(another_view), "1/s", how, **others)
             aside = f"all lookups anew, as for another G-buffer of the same size; {how}"
             table.row(f"{what}, frames of new pixels", 1 / median_seconds(another_buffer), "1/s", aside, limit=limit)
-            functions, coats, points = relighter.prepared(light, GIVEN, pixels)
             nearest = points._replace(light=points.light.one(), seen=points.seen.one(), view=points.view.one())
             both = [median_seconds(lambda p=p: native.shade(functions, coats, p)) for p in (points, nearest)]  # type: ignore[misc]  # noqa: B023
             aside = f"of {1e3 * both[0]:.1f} ms, over the nearest frame, texel and view alone; {how}"
@@ -131,6 +138,15 @@ def frames(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, pe
             for kind_of, shape in (("isotropic", ptt.BlinnPhong(17.0)), ("brushed", ptt.Ward(0.1, 0.5))):
                 took = median_seconds(lambda r=relighter, s=shape: r._table(s), 3)  # type: ignore[misc]
                 table.row(f"{what}, an edited BRDF, {kind_of}", took, "s", how, "<= 0.2", paper="2 to 3 s")
+
+
+def bytes_of(functions: Functions, at: Points) -> int:
+    """What a frame reads and writes: each row of the tables once, and what it knows of every pixel."""
+    light, visibility, _, glossy = functions
+    tables = ((at.light, light.values), (at.seen, visibility), (at.view, glossy.values))
+    rows = sum(len(near.rows.unique()) * values[0].numel() * values.element_size() for near, values in tables)
+    pixels = sum(x.numel() * x.element_size() for x in (*at.light, *at.seen, *at.view, *at[3:], at.colour))
+    return rows + pixels
 
 
 def light_change(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, quick: bool) -> None:

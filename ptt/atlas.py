@@ -14,6 +14,7 @@ from ptt.scene import Scene
 
 EDGE = 1e-3  # barycentric; nearer to an edge, two triangles may both be hit
 OVERLAP = 0.01  # of the texels in use
+TILE = 8  # texels along the edge of a square whose rows lie together: neighbours are read at once
 PADDING = 2  # texels between the charts that are made here
 
 
@@ -22,7 +23,7 @@ class Atlas:
     """size x size texels, t of which show a triangle at their centre.
 
     corner_uv (f, 3, 2): where the corners of every triangle lie, in 0..1
-    triangle (t,), barycentric (t, 3): of the texels in use, row by row
+    triangle (t,), barycentric (t, 3): of the texels in use, tile by tile
     rows (size * size,) int32: which of those stands for each texel: its own, or the nearest
 
     Where triangles overlap in a few texels, as xatlas leaves them on ragged meshes, a warning counts these.
@@ -53,7 +54,8 @@ class Atlas:
         surface = Surface(flat, faces)
         above, below = (_hits(surface, u, v, z, d) for z, d in ((2.0, -1.0), (-1.0, 1.0)))
         clear = (above.barycentric.amin(1) > EDGE) & (below.barycentric.amin(1) > EDGE)
-        used = (above.triangle >= 0).nonzero()[:, 0]
+        order = torch.cat([t.flatten() for rows in _texels(size).split(TILE) for t in rows.split(TILE, 1)])
+        used = order[above.triangle[order] >= 0]
         if not len(used):
             raise ValueError(f"no texel of {size} x {size} shows a triangle: make size larger")
         twice = int((clear & (above.triangle != below.triangle)).sum())
@@ -80,6 +82,10 @@ def unwrapped(scene: Scene, size: int) -> Tensor:
     atlas.generate(pack_options=options)
     _, faces, uv = atlas[0]
     return torch.from_numpy(uv)[torch.from_numpy(faces.astype("int64"))].clamp(0, 1)
+
+
+def _texels(size: int) -> Tensor:
+    return torch.arange(size * size).reshape(size, size)
 
 
 def _hits(surface: Surface, u: Tensor, v: Tensor, height: float, direction: float) -> Hits:

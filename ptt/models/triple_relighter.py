@@ -21,6 +21,7 @@ from ptt.models.shape_tables import ShapeTables
 from ptt.models.viewing import View, toward
 from ptt.ops import haar, local, native, near, relight, rotation, shade
 from ptt.ops.geodesic import Geodesic
+from ptt.ops.memory import in_large_pages
 from ptt.ops.near import Near
 from ptt.ops.octahedral import Octahedral
 from ptt.ops.rotation import Resampling
@@ -125,7 +126,7 @@ class TripleProductRelighter(nn.Module):
         tables |= {"dull": local.cosine(self.grid)}
         tables |= dict(zip(("directions", "shares"), light_maps.samples(Octahedral(source)), strict=True))
         for name, tensor in tables.items():
-            self.register_buffer(name, tensor)
+            self.register_buffer(name, in_large_pages(tensor))
         self._fine, self._light, self._vertices, self._pixels = Cache(), Cache(), Cache(), Cache()
         self._view, self._second, self._glossy = Cache(), Cache(), Cache()
         self._tables: ShapeTables[Table] = ShapeTables(self._table)
@@ -249,7 +250,9 @@ class TripleProductRelighter(nn.Module):
         layers = list(zip(*pairs, strict=True))[: 1 + any(isinstance(m, Mixed) for m in own)]
         tables = [[self._tables(m.shape, self.dull.device) for m in layer] for layer in layers]
         distinct = list({id(table): table for layer in tables for table in layer}.values())
-        glossy: Table = self._glossy(distinct, lambda: Table(*(torch.cat(x) for x in zip(*distinct, strict=True))))
+        glossy: Table = self._glossy(
+            distinct, lambda: Table(*(in_large_pages(torch.cat(x)) for x in zip(*distinct, strict=True)))
+        )
         starts = {id(table): self.views**2 * k for k, table in enumerate(distinct)}
         first = torch.tensor([[starts[id(table)] for table in layer] for layer in tables], dtype=torch.int32)
         diffuse, specular = (

@@ -23,7 +23,7 @@ from ptt.ops.raycast import Surface
 BYTE = 255
 MIDDLE = 1e-9  # of the sphere: nearer, a direction is its own mirror image
 _RAYS = 1 << 20  # a block
-_VALUES = 1 << 22
+_VALUES = 1 << 18  # BRDF values at once: what fits the cache
 
 
 def visibility(surface: Surface, points: Tensor, frames: Tensor, grid: Geodesic, samples: int = 2) -> Tensor:
