@@ -107,3 +107,19 @@ def test_visibility_texture_on_a_coarse_mesh() -> None:
     textured, plain = picture(coarse, Atlas.of(coarse, 256)), picture(coarse, None)
     assert ptt.relative_rmse(textured, wanted) < 0.04
     assert ptt.relative_rmse(plain, wanted) > 3 * ptt.relative_rmse(textured, wanted)
+
+
+def test_uv_without_area_leave_nothing_undefined() -> None:
+    """A triangle that no texel shows reads what the texels next to it hold."""
+    scene = square()
+    assert scene.uv is not None
+    uv = scene.uv[scene.faces].clone()
+    uv[1] = uv[1, :1]
+    atlas = Atlas.of(scene, 16, uv)
+    assert bool((atlas.triangle == 0).all())
+    relighter = ptt.TripleProductRelighter(scene, 1, normals=4, twists=4, source=8, views=8, atlas=atlas)
+    pixels = ptt.GBuffer.of(scene, ptt.Camera((0.0, 3.0, 0.01), (0.0, 0.0, 0.0), width=16, height=16))
+    assert set(pixels.triangle.tolist()) == {0, 1}
+    white = {scene.regions[0].name: ptt.lambert(1.0)}
+    radiance = relighter(ptt.Environment.constant(), white, pixels)
+    torch.testing.assert_close(radiance, torch.ones_like(radiance), rtol=0, atol=0.03)

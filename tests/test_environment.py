@@ -447,3 +447,13 @@ def test_corners_of_the_unit_square_and_beyond() -> None:
     for bad in (torch.tensor([[1.0, 0.5]]), torch.tensor([[-0.1, 0.5]]), torch.rand(3), torch.rand(3, 3)):
         with pytest.raises(ValueError, match=r"u must be \(n, 2\)"):
             light.sampler().sample(bad)
+
+
+def test_lights_add_up() -> None:
+    a, b = Environment.area_light((0, 1, 0), 20.0, 3.0), Environment.area_light((1, 0, 0), 10.0, (1.0, 2.0, 4.0))
+    torch.testing.assert_close((a + b).integral(), a.integral() + b.integral())
+    both, d = (a + b).rotated(y=30), torch.rand(50, 3) - torch.tensor([0.3, 0.1, 0.7])
+    torch.testing.assert_close(both.radiance(d), a.rotated(y=30).radiance(d) + b.rotated(y=30).radiance(d))
+    for other in (a.rotated(x=10), Environment(torch.ones(8, 16, 3))):
+        with pytest.raises(ValueError, match="add first, then turn"):
+            a + other
