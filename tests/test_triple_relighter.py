@@ -141,6 +141,9 @@ def test_refuses(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) 
         relighter(SKY, {"lid": ptt.lambert()}, small_scene.camera)
     with pytest.raises(ValueError, match="view must"):
         relighter(SKY, {}, torch.ones(2, 3))
+    other = ptt.Scene.from_mesh(*mesh.sphere_mesh(5))
+    with pytest.raises(ValueError, match="of this relighter's scene"):
+        relighter(SKY, {}, ptt.GBuffer.of(other, other.camera))
 
 
 def test_two_materials_on_a_region_are_mixed(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) -> None:

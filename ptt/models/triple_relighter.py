@@ -37,6 +37,7 @@ STORAGE = {"float": torch.float32, "16-bit": torch.float16, "8-bit": torch.uint8
 BLOCK = 2048  # points whose visibility is traced at once
 FINEST = 7  # level
 MEMORY = 8e9  # bytes that all tables together may take
+OPERATOR = 32  # of the rotation operator, for a triangle of a frame
 PREROTATED = 64, 8  # cells along the edge of the light's map, and samples along that of a triangle
 FRAMES = 512  # that light is rotated to at once
 
@@ -225,6 +226,8 @@ class TripleProductRelighter(nn.Module):
         barycentric: Tensor,
         brushed: bool,
     ) -> Located:
+        if len(triangle) and int(triangle.max()) >= len(self.scene.faces):
+            raise ValueError("view must be a GBuffer of this relighter's scene: GBuffer.of(scene, camera)")
         ops, device = native if self.compiled else near, self.dull.device
         light = ops.of_frames(frames, self.frames.cpu(), self.twists, brushed)
         if self.atlas is not None:
@@ -306,7 +309,7 @@ def _traced(scene: Scene, atlas: Atlas | None, grid: Geodesic, rays: int, progre
 
 
 def _check_memory(triangles: int, frames: int, views: int, points: int) -> None:
-    need = triangles * (6 * frames + 2 * views + points)
+    need = triangles * ((6 + OPERATOR) * frames + 2 * views + points)
     if need > MEMORY:
         raise ValueError(
             f"{triangles} triangles take {need / 1e9:.1f} GB, of {MEMORY / 1e9:g}: {frames} frames of light, {views} "
