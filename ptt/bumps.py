@@ -71,7 +71,7 @@ class BumpMap:
         """Frames (p, 3, 3) of points at uv (p, 2), turned to the map's normals."""
         local = mesh.sample_texture(self.normals, uv).to(frames)
         normal = torch.einsum("pa,pax->px", local, frames)
-        return mesh.frames(normal, frames[:, 0], frames[:, 2])[0]
+        return mesh.frames(normal, frames[:, 0], lambda rows: frames[rows, 2])[0]
 
 
 def bent(scene: Scene, bumps: Mapping[str, BumpMap], frames: Tensor, uv: Tensor | None, region: Tensor) -> Tensor:

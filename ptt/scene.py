@@ -16,6 +16,7 @@ from torch import Tensor
 from ptt.materials import Material
 from ptt.meshes import Part, prepare
 from ptt.ops import mesh
+from ptt.ops.octahedral import mix
 from ptt.ops.raycast import Surface
 
 if TYPE_CHECKING:
@@ -248,15 +249,21 @@ class Scene:
 
     def interpolated(self, values: Tensor, triangle: Tensor, barycentric: Tensor) -> Tensor:
         """Values (n, ...) inside triangles (n,), at barycentric (n, 3), of those at the vertices (v, ...)."""
-        return torch.einsum("nk,nk...->n...", barycentric.to(values), values[self.faces[triangle]])
+        mixed = mix(
+            values.flatten(1) if values.ndim > 1 else values[:, None], self.faces[triangle], barycentric.to(values)
+        )
+        return mixed.reshape(len(triangle), *values.shape[1:])
 
     def frames_at(self, triangle: Tensor, barycentric: Tensor) -> Tensor:
         """Orthonormal frames (n, 3, 3) inside triangles (n,), at barycentric (n, 3).
 
         Where interpolation leaves no frame, the triangle's normal, or another tangent; a warning counts them.
         """
-        a, b, c = self.vertices[self.faces[triangle]].unbind(1)
-        across = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1)
+
+        def across(rows: Tensor) -> Tensor:
+            a, b, c = self.vertices[self.faces[triangle[rows]]].unbind(1)
+            return torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1)
+
         normals, tangents = (self.interpolated(x, triangle, barycentric) for x in (self.normals, self.tangents))
         frames, repaired = mesh.frames(normals, tangents, across)
         if repaired:
@@ -273,13 +280,12 @@ class Scene:
         """
         if bad := int(((triangle < 0) | (triangle >= len(self.faces))).sum()):
             raise ValueError(f"triangle (n,) must index {len(self.faces)} faces: {bad} do not")
-        corners, weights = self.faces[triangle], barycentric[..., None].to(self.colours)
-        colour = (self.colours[corners] * weights).sum(1)
+        colour = self.interpolated(self.colours, triangle, barycentric)
         region = self.face_region[triangle]
         for index, texture in enumerate(r.texture for r in self.regions):
             rows = torch.nonzero(region == index)[:, 0]
             if texture is not None and self.uv is not None and len(rows):
-                at = (self.uv[corners[rows]] * weights[rows]).sum(1)
+                at = self.interpolated(self.uv, triangle[rows], barycentric[rows])
                 colour = colour.index_copy(0, rows, mesh.sample_texture(texture, at))
         return colour
 

@@ -77,7 +77,7 @@ def test_below_the_surface_is_raised_and_counted() -> None:
 def test_frames_that_interpolation_leaves_none_are_repaired_and_counted() -> None:
     normals = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     tangents = torch.tensor([[0.0, 2.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
-    frames, repaired = mesh.frames(normals, tangents, torch.tensor([[0.0, 0.0, 1.0]]).expand(3, 3))
+    frames, repaired = mesh.frames(normals, tangents, lambda rows: torch.tensor([[0.0, 0.0, 1.0]]).expand(len(rows), 3))
     assert repaired == 2
     torch.testing.assert_close(frames @ frames.mT, torch.eye(3).expand(3, 3, 3), rtol=0, atol=1e-6)
     torch.testing.assert_close(frames.det(), torch.ones(3))

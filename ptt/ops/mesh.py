@@ -6,6 +6,7 @@ Everywhere vertices (v, 3) are positions, and faces (f, 3) vertex indices, count
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -100,21 +101,23 @@ def tangents(vertices: Tensor, faces: Tensor, normals: Tensor, uv: Tensor | None
     return _unit(_across(level, normals))
 
 
-def frames(normals: Tensor, tangents: Tensor, across: Tensor) -> tuple[Tensor, int]:
+def frames(normals: Tensor, tangents: Tensor, across: Callable[[Tensor], Tensor]) -> tuple[Tensor, int]:
     """Orthonormal frames (n, 3, 3), rows tangent, bitangent, normal, of interpolated normals and tangents (n, 3).
 
-    across (n, 3): unit normals for those that are zero, as where a vertex' neighbours look to opposite sides. A tangent
-    that is parallel to its normal is replaced by another; the number counts what was repaired of both.
+    across: unit normals (k, 3) of some rows (k,), those whose normals are zero, as where a vertex' neighbours look to
+        opposite sides
+
+    A tangent that is parallel to its normal is replaced by another; the number counts what was repaired of both.
     """
-    flat = normals.norm(dim=1) < CANCELLED
-    n = _unit(torch.where(flat[:, None], across, normals))
+    flat = (normals.norm(dim=1) < CANCELLED).nonzero()[:, 0]
+    n = _unit(normals.index_copy(0, flat, across(flat).to(normals)) if len(flat) else normals)
     t = _across(tangents, n)
-    along = t.norm(dim=1) < CANCELLED * tangents.norm(dim=1).clamp(min=CANCELLED)
-    if repaired := int((flat | along).sum()):
-        smallest = torch.nn.functional.one_hot(n.abs().argmin(1), 3).to(n)
-        t = torch.where(along[:, None], _across(smallest, n), t)
+    along = (t.norm(dim=1) < CANCELLED * tangents.norm(dim=1).clamp(min=CANCELLED)).nonzero()[:, 0]
+    if len(along):
+        smallest = torch.nn.functional.one_hot(n[along].abs().argmin(1), 3).to(n)
+        t = t.index_copy(0, along, _across(smallest, n[along]))
     t = _unit(t)
-    return torch.stack((t, torch.linalg.cross(n, t), n), 1), repaired
+    return torch.stack((t, torch.linalg.cross(n, t), n), 1), len(torch.cat((flat, along)).unique())
 
 
 def _u_directions(vertices: Tensor, faces: Tensor, uv: Tensor) -> Tensor:
