@@ -1,7 +1,7 @@
 """Triple products in local frames: every figure of it, as rows of bench/results/triple.csv.
 
     PTT_DATA=... python bench/triple.py             # about ten minutes on two cores, pictures and all
-    python bench/triple.py --quick                  # half a minute: a ball over a floor, written nowhere
+    python bench/triple.py --quick                  # over a minute: a ball over a floor, written nowhere
 
 Needs PTT_DATA with meshes and maps. Pictures go to docs/images.
 """
@@ -46,7 +46,7 @@ COMPARED = 400  # pixels
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="half a minute: a ball over a floor, written nowhere")
+    parser.add_argument("--quick", action="store_true", help="over a minute: a ball over a floor, written nowhere")
     quick = parser.parse_args().quick
     warnings.simplefilter("ignore")
     table, data = Table("triple_quick" if quick else "triple"), Path(os.environ.get("PTT_DATA", ""))
