@@ -125,14 +125,15 @@ class TensorBRDF(nn.Module):
         A tensor (h,) in place of the shape: its coordinates in the space.
         """
         mixture = self.space.resolved(shape).to(self.core) @ self.u_h
-        return torch.einsum("h,hoi->oi", mixture, self.core)
+        return (mixture @ self.core.flatten(1)).reshape(self.core.shape[1:])
 
     def lobe_tables(self, shape: Shape | Tensor) -> Tensor:
         """The fractions (k, p, t) of the light that the lobes of a shape reflect; read them by `lobes.lookup`.
 
         A tensor (h,) in place of the shape: its coordinates in the space.
         """
-        return torch.einsum("h,hkpt->kpt", self.space.resolved(shape).to(self.peaks), self.peaks)
+        mixture = self.space.resolved(shape).to(self.peaks)
+        return (mixture @ self.peaks.flatten(1)).reshape(self.peaks.shape[1:])
 
     def coupling(self, material: Material, shape: Tensor | None = None) -> Tensor:
         """M (3, 1 + o, 1 + i) of a material: diffuse to diffuse, and its specular colour times `matrix`.

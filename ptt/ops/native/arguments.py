@@ -13,13 +13,13 @@ from torch.autograd.forward_ad import unpack_dual
 
 def ready(*tensors: Tensor, types: Sequence[torch.dtype] = (torch.float32,)) -> bool:
     """Whether a kernel can read tensors: of one of these types, on the CPU, without derivatives."""
-    return not torch.compiler.is_compiling() and all(
-        t.dtype in types
-        and t.device.type == "cpu"
-        and not (torch.is_grad_enabled() and t.requires_grad)
-        and unpack_dual(t).tangent is None
-        for t in tensors
-    )
+    if torch.compiler.is_compiling():
+        return False
+    recorded = torch.is_grad_enabled()
+    for t in tensors:  # sixty a frame
+        if t.dtype not in types or not t.is_cpu or (recorded and t.requires_grad) or unpack_dual(t)[1] is not None:
+            return False
+    return True
 
 
 def address(t: Tensor | None) -> c_void_p:
