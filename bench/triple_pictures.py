@@ -89,6 +89,27 @@ def save(number: int, strips: list[Tensor]) -> None:
     ptt.Image(torch.cat(padded)).save(IMAGES / f"triple_figure{number}.png")
 
 
+def under(
+    table: Table,
+    number: int,
+    scene: ptt.Scene,
+    pixels: ptt.GBuffer,
+    given: Materials,
+    lights: Mapping[str, ptt.Environment],
+) -> None:
+    """A figure of one scene under several lights, on 1280 triangles."""
+    relighter, strips = ptt.TripleProductRelighter(scene, 3), []
+    for name, light in lights.items():
+        exact = truth(scene, light, given, pixels)
+        images = {name: relighter(light, given, pixels)}
+        strips.append(strip(table, f"figure {number}", pixels, images, exact, light))
+    save(number, strips)
+
+
+def turned(light: ptt.Environment, *degrees: int) -> dict[str, ptt.Environment]:
+    return {f"turned by {angle}": light.rotated(y=angle) for angle in degrees}
+
+
 def figure_5(table: Table, scene: ptt.Scene, light: ptt.Environment) -> None:
     """Per vertex and per pixel, on a coarse mesh."""
     given = {"body": ptt.blinn_phong((0.25, 0.2, 0.15), 0.6, 60.0), "floor": ptt.lambert(0.5)}
@@ -186,24 +207,15 @@ def figure_10(table: Table, scene: ptt.Scene, light: ptt.Environment) -> None:
         "body": ptt.Mixed(ptt.fitted("gold-metallic-paint"), ptt.blinn_phong((0.05, 0.1, 0.3), 0.2, 30.0), bands),
         "floor": ptt.Mixed(ptt.lambert((0.6, 0.55, 0.5)), ptt.blinn_phong(0.05, 0.5, 80.0), chequered),
     }
-    relighter, pixels, strips = ptt.TripleProductRelighter(scene, 3), ptt.GBuffer.of(scene, scene.camera), []
-    for turn in (0, 120):
-        light_ = light.rotated(y=turn)
-        images = {f"turned by {turn}": relighter(light_, given, pixels)}
-        strips.append(strip(table, "figure 10", pixels, images, truth(scene, light_, given, pixels), light_))
-    save(10, strips)
+    under(table, 10, scene, ptt.GBuffer.of(scene, scene.camera), given, turned(light, 0, 120))
 
 
 def figure_11(table: Table, grace: ptt.Environment) -> None:
     """A sphere of Ward's model with slopes 0.1 and 1.0, under an area light and grace."""
-    camera, strips = ptt.Camera((0.0, 0.8, 2.6), (0.0, 0.0, 0.0), fov=44, **SIZE), []
+    camera = ptt.Camera((0.0, 0.8, 2.6), (0.0, 0.0, 0.0), fov=44, **SIZE)
     scene = ptt.Scene.from_mesh(*mesh.sphere_mesh(5), name="ball")
-    relighter, pixels = ptt.TripleProductRelighter(scene, 3), ptt.GBuffer.of(scene, camera)
-    given = {"ball": ptt.ward(0.05, 0.5, 0.1, 1.0)}
-    for name, light in (("area light", ptt.Environment.area_light((0.4, 0.7, 0.8), 20.0, 8.0)), ("grace", grace)):
-        images = {name: relighter(light, given, pixels)}
-        strips.append(strip(table, "figure 11", pixels, images, truth(scene, light, given, pixels), light))
-    save(11, strips)
+    lights = {"area light": ptt.Environment.area_light((0.4, 0.7, 0.8), 20.0, 8.0), "grace": grace}
+    under(table, 11, scene, ptt.GBuffer.of(scene, camera), {"ball": ptt.ward(0.05, 0.5, 0.1, 1.0)}, lights)
 
 
 def figure_12(table: Table, scene: ptt.Scene, light: ptt.Environment) -> None:
@@ -212,12 +224,7 @@ def figure_12(table: Table, scene: ptt.Scene, light: ptt.Environment) -> None:
     waves = torch.sin(12 * t)[None] + torch.sin(9 * t + 2 * torch.sin(2 * t))[:, None]
     given = {"body": ptt.blinn_phong(0.3, 0.4, 30.0), "floor": ptt.blinn_phong((0.1, 0.15, 0.2), 0.6, 60.0)}
     pixels = ptt.GBuffer.of(scene, scene.camera, {"floor": ptt.BumpMap.of_heights(waves, 0.004)})
-    relighter, strips = ptt.TripleProductRelighter(scene, 3), []
-    for turn in (0, 120):
-        light_ = light.rotated(y=turn)
-        images = {f"turned by {turn}": relighter(light_, given, pixels)}
-        strips.append(strip(table, "figure 12", pixels, images, truth(scene, light_, given, pixels), light_))
-    save(12, strips)
+    under(table, 12, scene, pixels, given, turned(light, 0, 120))
 
 
 def figure_13(table: Table, scene: ptt.Scene) -> None:
@@ -226,10 +233,4 @@ def figure_13(table: Table, scene: ptt.Scene) -> None:
     light = area((0.7, 0.6, 0.2), 9.0, (30.0, 18.0, 8.0)) + area((-0.6, 0.7, 0.5), 9.0, (8.0, 16.0, 30.0))
     light = light + area((0.1, 0.8, -0.7), 12.0, (12.0, 14.0, 10.0))
     given = {"body": ptt.blinn_phong(0.4, 0.3, 20.0), "floor": ptt.lambert(0.6)}
-    relighter, pixels = ptt.TripleProductRelighter(scene, 3), ptt.GBuffer.of(scene, scene.camera)
-    strips = []
-    for turn in (0, 60, 200):
-        light_ = light.rotated(y=turn)
-        images = {f"turned by {turn}": relighter(light_, given, pixels)}
-        strips.append(strip(table, "figure 13", pixels, images, truth(scene, light_, given, pixels), light_))
-    save(13, strips)
+    under(table, 13, scene, ptt.GBuffer.of(scene, scene.camera), given, turned(light, 0, 60, 200))

@@ -154,3 +154,9 @@ def test_adaptive_kernel(level: int, keep: int, built: None, monkeypatch: pytest
 def test_what_the_adaptive_kernel_does_not_take_is_computed_plainly(built: None) -> None:
     three = [haar.truncate(torch.randn(4, 80).double(), 9) for _ in range(3)]
     assert torch.equal(native.adaptive(*three, 80), triple.adaptive(*three, 80))
+
+
+def test_coefficients_beyond_the_last_are_not_written_anywhere(built: None) -> None:
+    kept = haar.truncate(torch.ones(2, 320), 320)
+    with pytest.raises(RuntimeError, match="out of bounds"):
+        native.adaptive(kept, kept, kept, 80)

@@ -40,7 +40,7 @@ Rotated light (Wang et al. 2006, equations 5 to 7; `rotation`, `slices`), n a sa
     R_n = W_M S_n W_N^T                                                         S_n: the map resampled around n
     B[v, c] = sum over k of w[k, v]  sum over j of  F[o(v, k), j]  sum over l of  R_k[j, l] L[l, c]
 
-Triple products in local frames (Ma et al. 2006; `geodesic`, `triple`, `local`, `shade`), C_ijk by the paper's theorem:
+Triple products in local frames (Ma et al. 2006; `geodesic`, `triple`, `local`, `near`, `shade`), C_ijk by its theorem:
 
     B[p, c] = sum over i, j, k of  C_ijk L[p, c, i] V[p, j] F[p, c, k]          in the triangular Haar basis
             = 20 / n sum over t of  L[p, c, t] V[p, t] F[p, c, t]               on the n triangles of a level

@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 from torch.autograd.forward_ad import unpack_dual
 
+KINDS = {torch.float32: 0, torch.float16: 1, torch.uint8: 2}  # of numbers in an `ops.table.Table`
+
 
 def ready(*tensors: Tensor, types: Sequence[torch.dtype] = (torch.float32,)) -> bool:
     """Whether a kernel can read tensors: of one of these types, on the CPU, without derivatives."""

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from ptt.ops import haar, rotation, slices
-from ptt.ops.native.arguments import address, ready
+from ptt.ops.native.arguments import KINDS, address, ready
 from ptt.ops.native.kernels import library
 from ptt.ops.rotation import Quantised, Resampling
 from ptt.ops.slices import ALIGNED, Located, Slices
@@ -22,7 +22,6 @@ from ptt.ops.sphere import Grid
 from ptt.ops.table import LARGEST, Table
 
 CHANNELS = 4  # of a value in the kernels
-STORED = {torch.float32: 0, torch.float16: 1, torch.uint8: 2}  # of tables
 POINTERS = ("position", "normal", "frames", "eye", "weights", "light", "near", "first", "terms", "values", "out")
 LONGS = ("points", "width", "kept")
 INTS = ("distant", "views", "threads")
@@ -80,7 +79,7 @@ def resampled_light(coefficients: Tensor, frames: Tensor, target: Grid, samples:
 
 def resampled_values(values: Tensor, s: Resampling, cells: int, storage: torch.dtype = torch.float16) -> Table:
     """(f, c, cells), as `ptt.ops.rotation.resampled_values`."""
-    fits = ready(values) and values.shape[1:] == (3,) and storage in STORED
+    fits = ready(values) and values.shape[1:] == (3,) and storage in KINDS
     kernels = library() if fits else None
     if kernels is None:
         return rotation.resampled_values(values, s, cells, storage)
@@ -89,7 +88,7 @@ def resampled_values(values: Tensor, s: Resampling, cells: int, storage: torch.d
     numbers = c_int64(frames), c_int64(cells), c_float(1 / s.samples**2), c_float(LARGEST.get(storage, 0.0))
     tensors = pad(values, (0, 1)).contiguous(), s.starts, s.reads, *out
     kernels.ptt_resampled_values(
-        *map(address, tensors), *numbers, c_int(STORED[storage]), c_int(torch.get_num_threads())
+        *map(address, tensors), *numbers, c_int(KINDS[storage]), c_int(torch.get_num_threads())
     )
     return out
 

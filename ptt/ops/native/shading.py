@@ -9,11 +9,10 @@ import torch
 from torch import Tensor
 
 from ptt.ops import shade as plain
-from ptt.ops.native.arguments import ready
+from ptt.ops.native.arguments import KINDS, ready
 from ptt.ops.native.kernels import library
 from ptt.ops.shade import Coats, Functions, Points
 
-KINDS = {torch.float32: 0, torch.float16: 1, torch.uint8: 2}  # of numbers in light and glossy
 SEEN, VIEWS = {1: (1,), 4: (1, 3, 4), 8: (1, 3, 4)}, {1: 1, 4: 4, 8: 4}  # rows that are interpolated, by those of light
 COATS = 1, 2
 

@@ -19,7 +19,7 @@ struct Scratch {
 
     explicit Scratch(int64_t n) : value(3 * n), active(n / 3 + 1) {}
 
-    // Node (n, 20 x 4^l + i in order of the levels) of a coefficient: 20 roots come first, then three for each triangle.
+    // The triangle, counted through all levels, whose wavelet a coefficient is: three each, after the 20 roots.
     static int32_t node(int32_t index, int32_t &level_start) {
         level_start = 0;
         int32_t size = 20, first = 20;

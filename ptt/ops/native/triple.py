@@ -23,6 +23,7 @@ def adaptive(f: Truncated, g: Truncated, h: Truncated, n: int) -> Tensor:
     three = [Truncated(x.indices.int().contiguous(), x.values.contiguous()) for x in (f, g, h)]
     points = {len(x.values) for x in three}
     alike = len(points) == 1 and all(x.values.ndim == 2 and x.values.shape == x.indices.shape for x in three)
+    alike = alike and all(not x.indices.numel() or 0 <= x.indices.min() <= x.indices.max() < n for x in three)
     kernels = library() if alike and ready(*(x.values for x in three)) else None
     if kernels is None:
         return plain.adaptive(f, g, h, n)
