@@ -131,13 +131,12 @@ def figure_6(table: Table, light: ptt.Environment, pixels: int, samples: int, pi
     """Spheres with 0 to 4 lobes beside the path tracer, under uffizi."""
     space, sphere = ptt.BRDFSpace.fitted(), Sphere(pixels)
     truths = [sphere.truth(space.material(name), light, samples) for name in MATERIALS]
-    mirrored = [sphere.mirrored(light, angle) for angle in lobes.ANGLES]
     rows = [[sphere.picture(truth.mean)] for truth in truths]
     gains = [0.4 / float(truth.mean.mean()) for truth in truths]
     for ranks, counts in (((4, 8, 8), range(5)), ((6, 16, 16), (4,))):
         for count in counts:
             fit = ptt.TensorBRDF.fit(space, ranks, separated=count)
-            incident = sphere.incident(fit, light)
+            incident, mirrored = sphere.incident(fit, light), sphere.mirrored(fit, light)
             for k, (name, truth) in enumerate(zip(MATERIALS, truths, strict=True)):
                 relit = sphere.relit(fit, space.material(name), incident, mirrored)
                 noise = float(truth.standard_error.norm() / truth.mean.norm())

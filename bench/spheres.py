@@ -12,11 +12,12 @@ from torch.nn.functional import normalize
 import ptt
 from ptt import reference
 from ptt.meshes import Part
+from ptt.models import light_maps
 from ptt.ops import lobes, mesh, transfer
 from ptt.ops.sphere import Cube
+from ptt.ops.view import light_about
 
 GRID = Cube(64)
-RINGS, TURNS = 24, 48  # of the quadrature over a Gaussian
 
 
 class Sphere:
@@ -54,27 +55,17 @@ class Sphere:
             parts.append(transfer.direct_transfer(visible, frames, directions, solid_angles, brdf.u_i) @ texels)
         return torch.cat(parts).transpose(0, 1)
 
-    def mirrored(self, light: ptt.Environment, angle: float) -> Tensor:
-        """Mean light (v, 3) about the mirror direction, by Gaussian x cosine; of 0 degrees, that direction's."""
-        axis = lobes.mirror(self.wo)
-        if angle == 0:
-            return light.radiance(self._world(axis[:, None])[:, 0])
-        t = (torch.arange(RINGS) + 0.5) / RINGS * 3 * lobes.sigma(angle)
-        phi = (torch.arange(TURNS) + 0.5) / TURNS * 2 * math.pi
-        x = normalize(torch.linalg.cross(axis, torch.tensor([[0.0, 1.0, 0.0]]).expand_as(axis)), dim=1)
-        y = torch.linalg.cross(axis, x)
-        circle = phi.cos()[:, None] * x[:, None] + phi.sin()[:, None] * y[:, None]  # shape: (v, turns, 3)
-        wi = t.sin()[:, None, None] * circle[:, None] + t.cos()[:, None, None] * axis[:, None, None]
-        weight = (t.sin() * lobes.gaussian(t, angle))[:, None] * wi[..., 2].clamp(min=0)
-        radiance = light.radiance(self._world(wi.flatten(1, 2))).unflatten(1, (RINGS, TURNS))
-        return torch.einsum("vtpc,vtp->vc", radiance, weight) / weight.sum((1, 2))[:, None]
+    def mirrored(self, brdf: ptt.TensorBRDF, light: ptt.Environment) -> Tensor:
+        """Mean light (v, k, 3) about the axes of the lobes, as the relighter has it."""
+        axes = self._world(lobes.lean(brdf.axes, self.wo))
+        return light_about(light_maps.light_maps(light, brdf.angles).blurred, axes @ light.rotation.float())
 
-    def relit(self, brdf: ptt.TensorBRDF, material: ptt.Material, incident: Tensor, mirrored: list[Tensor]) -> Tensor:
+    def relit(self, brdf: ptt.TensorBRDF, material: ptt.Material, incident: Tensor, mirrored: Tensor) -> Tensor:
         """Radiance (v, 3) as the relighting equation has it, plus the lobes."""
         assert material.shape is not None
         specular = torch.einsum("ov,oi,ivc->vc", brdf.outgoing(self.wo), brdf.matrix(material.shape), incident[1:])
-        for reflectance, light in zip(lobes.lookup(brdf.lobe_tables(material.shape), self.wo), mirrored, strict=False):
-            specular = specular + reflectance[:, None] * light
+        reflected = lobes.lookup(brdf.lobe_tables(material.shape), self.wo)
+        specular = specular + torch.einsum("kv,vkc->vc", reflected, mirrored)
         return material.diffuse / math.pi * incident[0] + material.specular * specular
 
     def picture(self, values: Tensor) -> Tensor:

@@ -14,8 +14,9 @@ from ptt import bounces
 from ptt.models import light_maps, slots
 from ptt.models.indirect import COARSE, responses
 from ptt.ops import haar, lobes, transfer
-from ptt.ops.octahedral import HemiOctahedral, corners, octahedral
+from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.sphere import Cube
+from ptt.ops.view import light_about
 
 
 @dataclass(eq=False)
@@ -46,7 +47,7 @@ class Uncompressed:
         toward = torch.nn.functional.normalize(eye - own.positions[rows], dim=1)
         wo = torch.einsum("vij,vj->vi", own.frames[rows], toward)
         to_factors = responses(self.brdf)
-        filtered = paths.filtered(lobes.mirror(wo))
+        filtered = paths.filtered(wo)
         direct, mirrored = self._direct(rows, grid, texels.reshape(-1, 3)), self._mirrored(rows, wo, light)
         shaded = [self._shade(rows, wo, materials, direct, mirrored)]
         for arriving in (one[rows], two):
@@ -64,15 +65,11 @@ class Uncompressed:
         return torch.cat(parts)
 
     def _mirrored(self, rows: Tensor, wo: Tensor, light: ptt.Environment) -> Tensor:
-        """Light (v, k, c) about the mirror direction times its fractional visibility."""
-        if not self.brdf.angles:
-            return torch.zeros(len(rows), 0, 3)
-        axis = lobes.mirror(wo)
-        world = (axis[:, None] @ self.raw.receivers.frames[rows])[:, 0]
-        maps = light_maps.light_maps(light, self.brdf.angles)
-        index, weights = corners(octahedral(world @ light.rotation.float()), light_maps.SIDE, wrap=True)
-        seen = (maps.blurred[index] * weights[..., None, None]).sum(1)
-        through = self.cuts[rows, HemiOctahedral(bounces.CUTS).cell(axis)].float() / 255
+        """Light (v, k, c) about the axes of the lobes times its fractional visibility."""
+        axes, each = lobes.lean(self.brdf.axes, wo), torch.arange(len(self.brdf.angles))
+        world = axes @ self.raw.receivers.frames[rows]
+        seen = light_about(light_maps.light_maps(light, self.brdf.angles).blurred, world @ light.rotation.float())
+        through = self.cuts[rows[:, None], HemiOctahedral(bounces.CUTS).cell(axes), each].float() / 255
         return seen * through[..., None]
 
     def _shade(

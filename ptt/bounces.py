@@ -5,7 +5,7 @@
     T2[v, q', q, l] = integral of Z_0 cos(w) sum over s of d_q'[wo, s] T1[y, q, s, l] dw
 
 y(v, w) is what point v sees in direction w. The BRDF functions of the slots are those of the BRDF tensor, factors and
-lobes (j runs over both: the diffuse factor, the incident factors, the light about the mirror direction times its
+lobes (j runs over both: the diffuse factor, the incident factors, the light about the axes of the lobes times its
 fractional visibility); so both reflections are matrix products. Lighting l: the coarse Haar coefficients.
 """
 
@@ -30,7 +30,7 @@ from ptt.precompute import RawTransfer
 
 MIRRORS = Cube(16)  # cells to which mirror directions are rounded
 SMOOTH = Cube(32)  # cells on which lobes are integrated
-CUTS = 32  # cells along an edge of the hemispherical map of fractional visibility
+CUTS = 24  # cells along an edge of the hemispherical map of fractional visibility
 
 
 class Seen(NamedTuple):
@@ -152,12 +152,11 @@ class Bounces:
         return out
 
     def _specular(self, reflector: Reflector, at: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
-        """Responses (m, p, i + k) to the incident factors and to the light (m, k, l) about the mirror direction."""
-        axis = lobes.mirror(wo)
-        world = (axis[:, None] @ self.raw.receivers.frames[at])[:, 0]
-        light = self.mirrored[MIRRORS.cell(world)]
-        cell = octahedral.HemiOctahedral(CUTS).cell(axis)
-        through = self.cuts[at, cell].float() / 255
+        """Responses (m, p, i + k) to the incident factors and to the light (m, k, l) about the axes of the lobes."""
+        axes, each = lobes.lean(self.brdf.axes, wo), torch.arange(len(self.brdf.angles))  # shape: (m, k, 3)
+        light = self.mirrored[MIRRORS.cell(axes @ self.raw.receivers.frames[at]), each]
+        cell = octahedral.HemiOctahedral(CUTS).cell(axes)
+        through = self.cuts[at[:, None], cell, each].float() / 255
         return torch.cat((reflector.factors(wo, self.brdf), reflector.reflectances(wo) * through[:, None]), 2), light
 
     def two(self, rows: Tensor, t1: Tensor) -> Tensor:
@@ -179,12 +178,12 @@ class Bounces:
         """What each function sends towards wo (m, 3) of light that arrives in each harmonic (m, p, s)."""
         diffuse = reflector.shade(self.raw.receivers.colours[at])[..., None]
         out = torch.cat((diffuse, reflector.factors(wo, self.brdf)), 2) @ self.response.T
-        return out + torch.einsum("mpk,mks->mps", reflector.reflectances(wo), self.filtered(lobes.mirror(wo)))
+        return out + torch.einsum("mpk,mks->mps", reflector.reflectances(wo), self.filtered(wo))
 
-    def filtered(self, directions: Tensor) -> Tensor:
-        """Z_s at directions (m, 3), as each lobe blurs it (m, k, s)."""
-        y = harmonics.evaluate(directions, ORDER)
-        return (y[:, None] * self.blurs) @ self.change.T
+    def filtered(self, wo: Tensor) -> Tensor:
+        """Z_s about the axis of each lobe for wo (m, 3), as it blurs them (m, k, s)."""
+        y = harmonics.evaluate(torch.nn.functional.normalize(lobes.lean(self.brdf.axes, wo), dim=2), ORDER)
+        return (y * self.blurs) @ self.change.T
 
 
 @cache

@@ -146,15 +146,23 @@ class Oracle(NamedTuple):
             self.means[cell] = torch.stack(rows)
         return self.means[cell]
 
+    def axes(self, wo: Tensor) -> Tensor:
+        """Of lobes (k, 3): in the plane of wo and the normal, between the tilts of the table."""
+        sine, tilts = float(wo[:2].norm()), self.brdf.axes.shape[2]
+        at = min(max(math.atan2(sine, float(wo[2])) * 2 * tilts / math.pi - 0.5, 0.0), tilts - 1.0)
+        low = min(int(at), tilts - 2)
+        along, up = self.brdf.axes[..., low] * (1 - at + low) + self.brdf.axes[..., low + 1] * (at - low)
+        axes = torch.stack((-along * wo[0], -along * wo[1], up), 1)
+        return axes / axes.norm(dim=1, keepdim=True)
+
     def reflected_direct(self, slot: Slot, y: int, wo: Tensor) -> Tensor:
         """O_q (l,)."""
         t0, frame = self.made.t0[y].double(), self.made.raw.receivers.frames[y].double()
         if slot.function == 0:
             return self.albedo(slot, y) / math.pi * t0[0]
-        mirror = wo * torch.tensor([-1.0, -1.0, 1.0])
-        out = torch.zeros_like(t0[0])
-        cut = self.made.cuts[y, HemiOctahedral(CUTS).cell(mirror)].double() / 255
-        mean = self.mean_light(mirror @ frame)
+        axes, out = self.axes(wo), torch.zeros_like(t0[0])
+        cut = self.made.cuts[y, HemiOctahedral(CUTS).cell(axes), torch.arange(len(axes))].double() / 255
+        mean = torch.stack([self.mean_light(axis @ frame)[k] for k, axis in enumerate(axes)])
         u_o = self.brdf.outgoing(wo[None])[:, 0]
         for h, share in enumerate(self.samples(slot)):
             for b, factor in enumerate(self.brdf.core):
@@ -171,13 +179,13 @@ class Oracle(NamedTuple):
         disk = Disk(self.brdf.u_i.shape[-1])
         z = harmonics.evaluate(disk.directions().reshape(-1, 3), ORDER) @ change.T
         integrals = (self.brdf.u_i.flatten(1) * disk.projected_solid_angles().flatten()) @ z  # shape: (i, s)
-        y_mirror = harmonics.evaluate(wo * torch.tensor([-1.0, -1.0, 1.0]), ORDER)
+        about = harmonics.evaluate(self.axes(wo), ORDER)  # shape: (k, s)
         u_o = self.brdf.outgoing(wo[None])[:, 0]
         for h, share in enumerate(self.samples(slot)):
             for b, factor in enumerate(self.brdf.core):
                 out += share * self.brdf.u_h[h, b] * (u_o @ factor @ integrals)
-            for angle, peak in zip(self.brdf.angles, lobes.lookup(self.brdf.peaks[h], wo), strict=True):
-                blurred = y_mirror * lobes.zonal(angle, ORDER)[harmonics.degrees(ORDER)]
+            for angle, peak, y_axis in zip(self.brdf.angles, lobes.lookup(self.brdf.peaks[h], wo), about, strict=True):
+                blurred = y_axis * lobes.zonal(angle, ORDER)[harmonics.degrees(ORDER)]
                 out += share * peak * (change @ blurred)
         return out
 

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 import ptt
 from ptt.assembly import Transfer
+from ptt.bounces import CUTS
 from ptt.clustering import _eigenvectors_for, _Region
 from ptt.meshes import Part
 from ptt.models import cluster_steps, slots
@@ -108,15 +109,18 @@ def written_out(
         return out
     specular = brdf.outgoing(wo[None].float())[:, 0].double() @ brdf.matrix(material.shape).double() @ incident[1:]
     if brdf.angles:
-        axis = lobes.mirror(wo)
+        axes, n = lobes.lean(brdf.axes.double(), wo), CUTS
         rho = lobes.lookup(brdf.lobe_tables(material.shape).double(), wo)
-        cell, share = octahedral.corners(octahedral.hemi_octahedral(axis), 32, wrap=False)
-        cuts = region.cuts[int(region.place[v - own.spans[r][0]])].view(torch.uint8).reshape(32 * 32, -1)
-        through = share @ cuts[octahedral.tiles(32)[cell], : len(brdf.angles)].double() / 255
-        above = environment.radiance((axis @ frame)[None].float())[0].double() - 1
-        blurred = torch.stack([1 + lobes.zonal(a, 2)[1] * above for a in brdf.angles])
-        z = (blurs(brdf.angles) * harmonics.evaluate(axis, 4)) @ harmonics.hemispherical(4).T
-        specular = specular + rho @ (through[:, None] * blurred + z @ arriving)
+        cuts = region.cuts[int(region.place[v - own.spans[r][0]])].view(torch.uint8).reshape(n * n, -1)
+        through, blurred = [], []
+        for k, (angle, axis) in enumerate(zip(brdf.angles, axes, strict=True)):
+            cell, share = octahedral.corners(octahedral.hemi_octahedral(axis), n, wrap=False)
+            through.append(share @ cuts[octahedral.tiles(n)[cell], k].double() / 255)
+            towards = nn.functional.normalize(axis, dim=0) @ frame
+            blurred.append(1 + lobes.zonal(angle, 2)[1] * (environment.radiance(towards[None].float())[0].double() - 1))
+        mean = nn.functional.normalize(rho @ axes, dim=0)
+        z = (blurs(brdf.angles) * harmonics.evaluate(mean, 4)) @ harmonics.hemispherical(4).T
+        specular = specular + rho @ (torch.stack(through)[:, None] * torch.stack(blurred) + z @ arriving)
     return out + material.specular * specular
 
 

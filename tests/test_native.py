@@ -37,10 +37,11 @@ def inputs(
     colour = None if white else torch.rand(3, n, generator=g)
     points = Points(torch.randn(3, n, generator=g), frame, colour, cuts, place)
     eye = torch.nn.functional.normalize(torch.randn(3, n, generator=g), dim=0) if distant else torch.ones(3)
-    rho, maps = torch.rand(turns * TILTS, k, generator=g), torch.rand(12 * 12, 3 * k, generator=g)
+    rho, axes = torch.rand(turns * TILTS, k, generator=g), 0.1 + torch.rand(TILTS, 2 * k, generator=g)
+    maps = torch.rand(k, 12 * 12, 4, generator=g)
     which = torch.randperm(4, generator=g)[:k]
     turn, blurs = rotations(1, g)[0].contiguous(), torch.rand(k, s, generator=g)
-    gloss = Gloss(which, rho, TILTS, torch.rand(3, generator=g), maps, turn, blurs) if k else None
+    gloss = Gloss(which, rho, axes, torch.rand(3, generator=g), maps, turn, blurs) if k else None
     sent = Sent(torch.randn(b, 3, o + s, W, generator=g).half(), torch.rand(b, generator=g))
     return points, eye, torch.randn(14 * 14, o - 1, generator=g), sent, gloss
 

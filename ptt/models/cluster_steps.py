@@ -38,7 +38,7 @@ NATIVE = Operations(native.lighting, native.light_eigen, native.eigen, native.ex
 
 
 class Lit(NamedTuple):
-    """Under one light: what arrives in every region; the blurred maps (cells, k, c), and the turn of the light."""
+    """Under one light: what arrives in every region; the blurred maps (k, cells, 4), and the turn of the light."""
 
     arriving: list[Arriving]
     maps: Tensor
@@ -50,7 +50,7 @@ class Lobes(NamedTuple):
 
     which: Tensor
     rho: Tensor
-    tilts: int
+    axes: Tensor
     specular: Tensor
     blurs: Tensor
 
@@ -155,16 +155,16 @@ class ClusterSteps(nn.Module):
         which = torch.nonzero(tables.detach().abs().amax((1, 2)) > DULL)[:, 0]
         if not len(which):
             return Dressed(functions, coupling, None)
-        rho = tables[which].flatten(1).T.contiguous()
+        rho, axes = tables[which].flatten(1).T.contiguous(), brdf.axes[:, which].flatten(0, 1).T.contiguous()
         specular = material.specular.to(rho)
-        return Dressed(functions, coupling, Lobes(which, rho, tables.shape[2], specular, self.blurs[which]))
+        return Dressed(functions, coupling, Lobes(which, rho, axes, specular, self.blurs[which]))
 
     def _gloss(self, lobes: Lobes | None, lit: Lit) -> Gloss | None:
         """Lobes under a light."""
         if lobes is None:
             return None
-        maps = lit.maps if len(lobes.which) == lit.maps.shape[1] else lit.maps[:, lobes.which]
-        return Gloss(*lobes[:4], maps=maps.flatten(1), turn=lit.turn, blurs=lobes.blurs)
+        maps = lit.maps if len(lobes.which) == len(lit.maps) else lit.maps[lobes.which]
+        return Gloss(*lobes[:4], maps=maps, turn=lit.turn, blurs=lobes.blurs)
 
     def radiance(self, exitant: Exitant, eye: Tensor) -> Tensor:
         """View step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""

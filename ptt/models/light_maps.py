@@ -18,7 +18,7 @@ from torch import Tensor
 
 from ptt.environment import Environment
 from ptt.ops import lobes
-from ptt.ops.octahedral import Octahedral
+from ptt.ops.octahedral import Octahedral, bordered
 from ptt.ops.sphere import Grid
 
 FINE = 256  # cells along an edge of the map that lighting is read from
@@ -27,8 +27,8 @@ SOURCE = {7.0: 128, 14.0: 64, 21.0: 32}  # of what is blurred
 
 
 class LightMaps(NamedTuple):
-    """fine (FINE * FINE, 4): means of its cells, and a zero that aligns them; blurred (SIDE * SIDE, k, 3): mean light
-    under each lobe."""
+    """fine (FINE * FINE, 4): means of its cells; blurred (k, (SIDE + 2) ** 2, 4): mean light under each lobe, on maps
+    that are `bordered`. The fourth channel is a zero that aligns them."""
 
     fine: Tensor
     blurred: Tensor
@@ -39,15 +39,17 @@ def light_maps(environment: Environment, angles: Sequence[float]) -> LightMaps:
     still = replace(environment, rotation=torch.eye(3, dtype=torch.float64))
     fine = still.project(Octahedral(FINE))
     light = fine * Octahedral(FINE).solid_angles()[..., None].to(fine)
-    blurred = fine.new_zeros(SIDE * SIDE, len(angles), 3)
+    blurred = fine.new_zeros(len(angles), SIDE * SIDE, 3)
     for k, angle in enumerate(angles):
         n = SOURCE.get(angle, SIDE)
         summed = Octahedral(n).coarsen(light, FINE // n).reshape(-1, 3)
         if angle == 0:
-            blurred[:, k] = summed / Octahedral(n).solid_angles().reshape(-1, 1).to(fine)
+            blurred[k] = summed / Octahedral(n).solid_angles().reshape(-1, 1).to(fine)
         else:
-            blurred[:, k] = _blur(angle, n).to(fine) @ summed
-    return LightMaps(torch.nn.functional.pad(fine.reshape(-1, 3), (0, 1)), blurred)
+            blurred[k] = _blur(angle, n).to(fine) @ summed
+    around = bordered(blurred.movedim(1, 0)).movedim(1, 0)
+    fine, around = (torch.nn.functional.pad(maps, (0, 1)) for maps in (fine.reshape(-1, 3), around))
+    return LightMaps(fine, around.contiguous())
 
 
 def samples(grid: Grid) -> tuple[Tensor, Tensor]:

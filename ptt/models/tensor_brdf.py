@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from ptt.materials import Material
-from ptt.ops import lobes, transfer, tucker
+from ptt.ops import lobes, separation, transfer, tucker
 from ptt.ops.sphere import Disk
 from ptt.shapes import Shape
 from ptt.spaces import BRDF, BRDFSpace
@@ -27,6 +27,7 @@ class TensorBRDF(nn.Module):
     space: the samples h, and what lies between them
     core (h', o, i), u_h (h, h'), u_o (o, n, n), u_i (i, n, n)
     peaks (h, k, p, t): reflectances of the Gaussian lobes over outgoing directions (`ops.lobes`); k may be 0
+    axes (2, k, t): where the lobes point, those of all BRDFs of the space
     error (h,): |what the tensor misses| / |f| of every sample, in L2 by projected solid angle. Lobes
         reflect as much light as the peaks they stand for, from about there; what their round shape misses is not in it
 
@@ -43,12 +44,13 @@ class TensorBRDF(nn.Module):
     u_o: Tensor
     u_i: Tensor
     peaks: Tensor
+    axes: Tensor
     error: Tensor
 
     def __init__(self, space: BRDFSpace, **parts: Tensor) -> None:
         super().__init__()
         self.space = space
-        for name in ("core", "u_h", "u_o", "u_i", "peaks", "error"):
+        for name in ("core", "u_h", "u_o", "u_i", "peaks", "axes", "error"):
             self.register_buffer(name, parts[name])
 
     @classmethod
@@ -74,13 +76,15 @@ class TensorBRDF(nn.Module):
         samples = Remainders(space.samples, lobes.ANGLES[:separated], resolution)
         fit, missed = samples.decompose(ranks, error)
         u_h, u_o, u_i = fit.factors
+        peaks, axes = separation.tables([shape.evaluate for shape in space.samples], space.isotropic, samples.angles)
         return cls(
             space,
             core=fit.core.contiguous(),
             u_h=u_h * torch.tensor([samples.norms[h] for h in range(len(samples))])[:, None],
             u_o=samples.table(u_o.T / samples.weights),
             u_i=samples.table(u_i.T / samples.weights),
-            peaks=torch.stack([samples.peaks(h, space.isotropic) for h in range(len(samples))]),
+            peaks=peaks,
+            axes=axes,
             error=missed,
         )
 
@@ -108,13 +112,16 @@ class TensorBRDF(nn.Module):
         matrix = u_o.T @ values @ u_i
         missed = (values - u_o @ matrix @ u_i.T).norm()
         polar = lobes.tilts_and_turns(space.isotropic).to(self.peaks)
-        peaks = [lobes.lookup(table, polar) for table in self.peaks]
+        axes = lobes.lookup(self.axes.flatten(0, 1)[:, None], polar[0]).unflatten(0, self.axes.shape[:2])
+        functions = [space.samples[-1].evaluate]
+        peaks, _ = separation.tables(functions, space.isotropic, self.angles, axes)
         parts = {
             "core": torch.cat((self.core, matrix[None])),
             "u_h": torch.block_diag(self.u_h, self.u_h.new_tensor([[sampled.norms[0]]])),
             "u_o": self.u_o,
             "u_i": self.u_i,
-            "peaks": torch.stack((*peaks, sampled.peaks(0, space.isotropic).to(self.peaks))),
+            "peaks": torch.cat((torch.stack([lobes.lookup(table, polar) for table in self.peaks]), peaks)),
+            "axes": axes,
             "error": torch.cat((self.error, missed[None])),
         }
         return TensorBRDF(space, **parts)
@@ -177,7 +184,8 @@ class TensorBRDF(nn.Module):
         wi, wo = torch.broadcast_tensors(wi, wo)
         batch, wi, wo = wi.shape[:-1], wi.reshape(-1, 3), wo.reshape(-1, 3)
         value = torch.einsum("ov,oi,iv->v", self.outgoing(wo), self.matrix(shape), self.incident(wi))
-        value = value + lobes.evaluate(lobes.lookup(self.lobe_tables(shape), wo), wi, wo, self.angles)
+        reflected = lobes.lookup(self.lobe_tables(shape), wo)
+        value = value + lobes.evaluate(reflected, self.axes, wi, wo, self.angles)
         return (value * ((wi[:, 2] > 0) & (wo[:, 2] > 0))).reshape(batch)
 
 
@@ -207,10 +215,10 @@ class Remainders(Sequence[Tensor]):
         weights = self.weights[:, None] * self.weights
         self.norms[h] = float((values * weights).double().norm()) or 1.0
         if self.angles:
-            separate = lobes.separate_isotropic if shape.isotropic else lobes.separate
+            separate = separation.separate_isotropic if shape.isotropic else separation.separate
             found = separate(shape.evaluate, d, self.angles)
-            columns = lobes.Lobes(*(part[..., None] for part in found))
-            values = lobes.remainder(values, self.from_mirror, columns, self.angles)
+            columns = separation.Lobes(*(part[..., None] for part in found))
+            values = separation.remainder(values, self.from_mirror, columns, self.angles)
         return values * (weights / self.norms[h])
 
     def decompose(self, ranks: Sequence[int] | None, error: float | None) -> tuple[tucker.Tucker, Tensor]:
@@ -225,12 +233,6 @@ class Remainders(Sequence[Tensor]):
         fitted = (tucker.multiply(fit.core, (row[None], *others))[0] for row in u_h)
         missed = [(slices[h] - values).norm() for h, values in enumerate(fitted)]
         return fit, torch.stack(missed)
-
-    def peaks(self, h: int, isotropic: bool) -> Tensor:
-        """Reflectances (k, p, t) of the lobes of one shape."""
-        polar = lobes.tilts_and_turns(isotropic).float()
-        f = self.shapes[h].evaluate
-        return torch.cat([lobes.reflectances(f, row, self.angles) for row in polar.split(1)], 1)
 
     def table(self, values: Tensor) -> Tensor:
         """Values (k, t) of the texels in use as a table (k, n, n); the others have the nearest one's."""

@@ -197,6 +197,7 @@ def _expected(config: dict[str, Any]) -> saved.Shapes:
         "brdf.u_o": (torch.float32, (o, n, n)),
         "brdf.u_i": (torch.float32, (i, n, n)),
         "brdf.peaks": (torch.float32, (samples, *config["lobes"])),
+        "brdf.axes": (torch.float32, (2, config["lobes"][0], config["lobes"][2])),
         "brdf.error": (torch.float32, (samples,)),
         **Receivers.expected(config),
     }

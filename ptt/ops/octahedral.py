@@ -64,11 +64,26 @@ def corners(ab: Tensor, n: int, wrap: bool) -> tuple[Tensor, Tensor]:
     column, row = first.long().unbind(-1)
     columns = torch.stack((column, column + 1, column, column + 1), dim=-1)
     rows = torch.stack((row, row, row + 1, row + 1), dim=-1)
+    index = _index(rows, columns, n, wrap)
+    return index, torch.stack(((1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b), dim=-1)
+
+
+def bordered(table: Tensor) -> Tensor:
+    """A flat table (n * n, ...) of an `Octahedral` map with the cells around it: ((n + 2) ** 2, ...).
+
+    A lookup then needs no `wrap`, and takes the four corners side by side: `corners(ab * n / (n + 2), n + 2, False)`.
+    """
+    n = round(len(table) ** 0.5)
+    around = torch.arange(-1, n + 1, device=table.device)
+    return table[_index(around[:, None], around, n, wrap=True).flatten()]
+
+
+def _index(rows: Tensor, columns: Tensor, n: int, wrap: bool) -> Tensor:
+    """Flat cells of rows and columns, which may lie beyond an edge."""
     if wrap:
         columns = torch.where((rows < 0) | (rows >= n), n - 1 - columns, columns)
         rows = torch.where((columns < 0) | (columns >= n), n - 1 - rows, rows)
-    index = rows.clamp(0, n - 1) * n + columns.clamp(0, n - 1)
-    return index, torch.stack(((1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b), dim=-1)
+    return rows.clamp(0, n - 1) * n + columns.clamp(0, n - 1)
 
 
 @dataclass(frozen=True)

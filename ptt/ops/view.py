@@ -1,12 +1,13 @@
 """The view step: what points in blocks send to the eye, by outgoing factors and by lobes (Sun 2007, sections 3.3, 4.1).
 
     B[v, c] = sum over o of  V[o, wo] Q[c, o, v]
-            + specular[c] sum over k of  rho_k(wo) E_k[c, mirror] cut_k[v, mirror]
-            + specular[c] sum over k, s of  rho_k(wo) z_k[s] Y_s(mirror) I[c, s, v]
+            + specular[c] sum over k of  rho_k(wo) E_k[c, a_k] cut_k[v, a_k]
+            + specular[c] sum over k, s of  rho_k(wo) z_k[s] Y_s(a) I[c, s, v]
 
-V: outgoing factors, V[0] = 1 for the diffuse part; rho_k: reflectance of lobe k; E_k: the map blurred by it; cut_k: its
-fractional visibility; I: the light of one and two bounces in harmonics, which z_k blurs. A point that faces away sends
-what its mirror image above the horizon does, so that silhouettes interpolate well.
+V: outgoing factors, V[0] = 1 for the diffuse part; rho_k: reflectance of lobe k, a_k(wo) its axis; E_k: the map blurred
+by it; cut_k: its fractional visibility; I: the light of one and two bounces in harmonics, which z_k blurs, about the
+mean a of the axes. A point that faces away sends what its mirror image above the horizon does, so that silhouettes
+interpolate well.
 
 Points are innermost, in blocks of w; n = b * w of them.
 """
@@ -45,14 +46,16 @@ class Points(NamedTuple):
 class Gloss(NamedTuple):
     """The lobes of a region's material, k of them.
 
-    which (k,) int64: of the bytes of the cuts; rho (turns * tilts, k), tilts: of the table; specular (c,)
-    maps (cells, k * c): E_k on an octahedral map; turn (3, 3): of the light, world = turn @ map
+    which (k,) int64: of the bytes of the cuts; rho (turns * tilts, k); axes (tilts, 2 k): along, then up (`lobes.lean`)
+    specular (c,)
+    maps (k, cells, 4): E_k on a `bordered` octahedral map, three channels and a zero; turn (3, 3): of the light,
+        world = turn @ map
     blurs (k, s): z_k
     """
 
     which: Tensor
     rho: Tensor
-    tilts: int
+    axes: Tensor
     specular: Tensor
     maps: Tensor
     turn: Tensor
@@ -66,7 +69,7 @@ def view(points: Points, eye: Tensor, outgoing: Tensor, sent: Sent, gloss: Gloss
     outgoing (cells, o): V without the diffuse factor, on the disk grid
     sent: values (b, c, 1 + o + s, w), Q, then I; s = 0 where no lobe is lit by it
     """
-    wo, axis = directions(points, eye)
+    wo = _toward(points, eye)
     values, o = sent.values.to(outgoing.dtype), 1 + outgoing.shape[1]
     factors = mix(outgoing, *corners(wo.T[:, :2], _side(outgoing), wrap=False))
     diffuse = values[:, :, 0]
@@ -75,34 +78,43 @@ def view(points: Points, eye: Tensor, outgoing: Tensor, sent: Sent, gloss: Gloss
     unit = sent.unit[:, None, None]
     out = unit * (diffuse + (_blocks(factors.T, values)[:, None] * values[:, :, 1:o]).sum(2))
     if gloss is not None:
-        mirror = torch.stack((-wo[0], -wo[1], wo[2].abs()), 1)
-        rho = mix(gloss.rho, *lobes.corners(wo.T, len(gloss.rho) // gloss.tilts, gloss.tilts))  # shape: (n, k)
-        light = mix(gloss.maps, *corners(octahedral(axis.T @ gloss.turn), _side(gloss.maps), wrap=True))
-        seen = rho * _through(points.cuts, mirror, gloss.which)
-        lit = _blocks((seen[..., None] * light.unflatten(1, (-1, 3))).sum(1).T, values)
+        tilts = len(gloss.axes)
+        rho = mix(gloss.rho, *lobes.corners(wo.T, len(gloss.rho) // tilts, tilts))  # shape: (n, k)
+        axes = lobes.lean(gloss.axes.T.unflatten(0, (2, -1)), wo.T)  # shape: (n, k, 3)
+        seen = rho * _through(points.cuts, axes, gloss.which)
+        light = light_about(gloss.maps, torch.einsum("nkr,rcn->nkc", axes, points.frame) @ gloss.turn)
+        lit = _blocks((seen[..., None] * light).sum(1).T, values)
         if values.shape[2] > o:
-            response = (rho @ gloss.blurs) * harmonics.evaluate(mirror, round(gloss.blurs.shape[1] ** 0.5))
+            axis = torch.nn.functional.normalize((rho[..., None] * axes).sum(1), dim=1)
+            response = (rho @ gloss.blurs) * harmonics.evaluate(axis, round(gloss.blurs.shape[1] ** 0.5))
             lit = lit + unit * (_blocks(response.T, values)[:, None] * values[:, :, o:]).sum(2)
         out = out + lit * gloss.specular[:, None]
     return out.transpose(1, 2).flatten(0, 1).index_select(0, points.place)
 
 
-def directions(points: Points, eye: Tensor) -> tuple[Tensor, Tensor]:
-    """Local directions to the eye (3, n), and the mirror directions in the world (3, n)."""
-    toward = eye
+def _toward(points: Points, eye: Tensor) -> Tensor:
+    """Local directions to the eye (3, n)."""
     if eye.ndim == 1:
         away = eye[:, None] - points.position + NEAR * points.frame[2]
-        toward = away * away.square().sum(0).clamp(min=1e-30).rsqrt()
-    wo = (points.frame * toward).sum(1)
-    return wo, 2 * wo[2] * points.frame[2] - toward
+        eye = away * away.square().sum(0).clamp(min=1e-30).rsqrt()
+    return (points.frame * eye).sum(1)
 
 
-def _through(cuts: Tensor, mirror: Tensor, which: Tensor) -> Tensor:
-    """Fractional visibility (n, k) about mirror directions (n, 3)."""
-    index, weights = corners(hemi_octahedral(mirror), _side(cuts.T), wrap=False)
-    words = cuts.gather(1, tiles(_side(cuts.T)).to(index.device)[index])  # shape: (n, 4)
-    parts = [((words >> (8 * k)) & 255).to(weights) * weights for k in range(4)]
-    through: Tensor = torch.stack([part.sum(1) for part in parts], 1).index_select(1, which).div(BYTE)
+def light_about(maps: Tensor, axes: Tensor) -> Tensor:
+    """E_k (n, k, 3) about axes (n, k, 3) on maps (k, cells, 4)."""
+    k, cells, _ = maps.shape
+    n = math.isqrt(cells)
+    index, weights = corners(octahedral(axes) * ((n - 2) / n), n, wrap=False)  # shape: (n, k, 4)
+    rows = index + cells * torch.arange(k, device=index.device)[:, None]
+    light: Tensor = mix(maps.flatten(0, 1), rows.flatten(0, 1), weights.flatten(0, 1))[:, :3].unflatten(0, (-1, k))
+    return light
+
+
+def _through(cuts: Tensor, axes: Tensor, which: Tensor) -> Tensor:
+    """Fractional visibility (n, k) about local axes (n, k, 3)."""
+    index, weights = corners(hemi_octahedral(axes), _side(cuts.T), wrap=False)  # shape: (n, k, 4)
+    words = cuts.gather(1, tiles(_side(cuts.T)).to(index.device)[index].flatten(1)).view_as(index)
+    through: Tensor = (((words >> (8 * which[:, None])) & 255).to(weights) * weights).sum(2).div(BYTE)
     return through
 
 

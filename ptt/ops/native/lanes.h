@@ -23,6 +23,7 @@ constexpr int HARMONICS = 16;  // in which indirect light arrives: of order 4
 
 typedef float Lanes __attribute__((vector_size(4 * LANES)));
 typedef int32_t Ints __attribute__((vector_size(4 * LANES)));
+typedef float Four __attribute__((vector_size(16)));
 typedef uint16_t Shorts __attribute__((vector_size(2 * LANES)));
 
 // The types of torch, by the numbers that relight.py gives them.
@@ -108,6 +109,17 @@ static inline void gather_four(const float *p, Ints index, Lanes *x) {
 #endif
 }
 
+static inline bool any(Ints mask) {
+#if defined(__AVX512F__)
+    return _mm512_test_epi32_mask((__m512i)mask, (__m512i)mask);
+#else
+    int32_t m[LANES], all = 0;
+    std::memcpy(m, &mask, sizeof m);
+    for (int32_t i : m) all |= i;
+    return all;
+#endif
+}
+
 static inline Lanes root(Lanes v) {
     float x[LANES];
     std::memcpy(x, &v, sizeof x);
@@ -158,18 +170,53 @@ static inline Corners corners(Lanes a, Lanes b, int n, bool wrap) {
     return at;
 }
 
+struct Place {  // of a bilinear lookup: the first corner, and how far on towards the others
+    Ints row, column;
+    Lanes x, y;
+};
+
+// As `corners` without wrap, n > 1.
+static inline Place place(Lanes a, Lanes b, int n) {
+    const float half = 0.5f * n;
+    Lanes x = least(most((a + 1.0f) * half - 0.5f, all(0)), all(n - 1));
+    Lanes y = least(most((b + 1.0f) * half - 0.5f, all(0)), all(n - 1));
+    Ints column = clamp(whole(x), n - 2), row = clamp(whole(y), n - 2);
+    return {row, column, x - real(column), y - real(row)};
+}
+
+// Of values at the corners, the two of a row next to each other
+template <class Value, class Share>
+static inline Value blend(const Value *e, Share x, Share y) {
+    const Value first = e[0] + x * (e[1] - e[0]), second = e[2] + x * (e[3] - e[2]);
+    return first + y * (second - first);
+}
+
 // x @ turn
 static inline void turned(const Lanes *x, const float *turn, Lanes *out) {
     for (int c = 0; c < 3; ++c) out[c] = x[0] * turn[c] + x[1] * turn[3 + c] + x[2] * turn[6 + c];
 }
 
-// Corners of directions of any length on an octahedral map of n cells along an edge (ptt.ops.octahedral.octahedral).
-static inline Corners on_sphere(const Lanes *direction, int n) {
+// a and b of directions of any length (ptt.ops.octahedral.octahedral)
+static inline void octahedral(const Lanes *direction, Lanes &a, Lanes &b) {
     Lanes d[3], scale = 1.0f / most(size(direction[0]) + size(direction[1]) + size(direction[2]), all(TINY));
     for (int c = 0; c < 3; ++c) d[c] = direction[c] * scale;
-    Lanes a = d[2] < 0 ? signed_as(1.0f - size(d[1]), d[0]) : d[0];
-    Lanes b = d[2] < 0 ? signed_as(1.0f - size(d[0]), d[1]) : d[1];
+    a = d[2] < 0 ? signed_as(1.0f - size(d[1]), d[0]) : d[0];
+    b = d[2] < 0 ? signed_as(1.0f - size(d[0]), d[1]) : d[1];
+}
+
+// Corners of directions on an octahedral map of n cells along an edge.
+static inline Corners on_sphere(const Lanes *direction, int n) {
+    Lanes a, b;
+    octahedral(direction, a, b);
     return corners(a, b, n, true);
+}
+
+// The same on a map with a border, n cells along an edge with it (ptt.ops.octahedral.bordered).
+static inline Place place_on_sphere(const Lanes *direction, int n) {
+    Lanes a, b;
+    octahedral(direction, a, b);
+    const float inner = 1.0f - 2.0f / n;
+    return place(a * inner, b * inner, n);
 }
 
 // run(i) for i in 0..count-1, each thread an even share in order

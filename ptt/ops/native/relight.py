@@ -29,8 +29,8 @@ HARMONICS, PAD = 16, 16  # of order 4; of the tables of `eigen`
 LOBES = 4
 
 POINTERS = (
-    *("position", "frame", "colour", "eye", "outgoing", "sent", "unit", "rho", "specular", "maps", "turn", "blurs"),
-    *("cuts", "which", "place", "line", "out"),
+    *("position", "frame", "colour", "eye", "outgoing", "sent", "unit"),
+    *("rho", "axes", "specular", "maps", "turn", "blurs", "cuts", "which", "place", "line", "out"),
 )
 LONGS = ("blocks", "width", "rows", "points")
 INTS = ("distant", "factors", "harmonics", "tilts", "disk", "cells", "map", "threads")
@@ -145,10 +145,9 @@ def view(points: Points, eye: Tensor, outgoing: Tensor, sent: Sent, gloss: Gloss
     if points.colour is not None:
         tensors["colour"] = points.colour
     if gloss is not None:
-        tensors |= {name: getattr(gloss, name).contiguous() for name in ("rho", "specular", "maps", "turn", "blurs")}
-        tensors |= {"which": gloss.which.contiguous(), "cuts": points.cuts}
-        numbers |= {"harmonics": rows - numbers["factors"], "tilts": gloss.tilts}
-        numbers |= {"cells": side(points.cuts.shape[1]), "map": side(len(gloss.maps))}
+        tensors |= {name: tensor.contiguous() for name, tensor in gloss._asdict().items()} | {"cuts": points.cuts}
+        numbers |= {"harmonics": rows - numbers["factors"], "tilts": len(gloss.axes)}
+        numbers |= {"cells": side(points.cuts.shape[1]), "map": side(gloss.maps.shape[1])}
     pointers = {name: tensor.data_ptr() for name, tensor in tensors.items()}
     kernels.ptt_view(ctypes.byref(_View(**pointers, **numbers)), 0 if gloss is None else len(gloss.which))
     return out
@@ -169,10 +168,13 @@ def _fits(points: Points, eye: Tensor, outgoing: Tensor, sent: Sent, gloss: Glos
         and values.shape[2] > outgoing.shape[1]
     )
     if gloss is not None:
-        small += [gloss.rho, gloss.specular, gloss.maps, gloss.turn, gloss.blurs]
+        small += [gloss.rho, gloss.axes, gloss.specular, gloss.maps, gloss.turn, gloss.blurs]
         k, cuts = len(gloss.which), points.cuts
-        shapes = shapes and 0 < k <= LOBES and gloss.rho.shape == (gloss.tilts, k) and gloss.specular.shape == (3,)
-        shapes = shapes and gloss.turn.shape == (3, 3) and square(len(gloss.maps)) and gloss.maps.shape[1] == 3 * k
+        shapes = shapes and 0 < k <= LOBES and gloss.rho.shape == (len(gloss.axes), k) and gloss.specular.shape == (3,)
+        shapes = shapes and gloss.axes.shape[1] == 2 * k
+        shapes = (
+            shapes and gloss.turn.shape == (3, 3) and square(gloss.maps.shape[1]) and gloss.maps.shape[::2] == (k, 4)
+        )
         shapes = shapes and (values.shape[2] - 1 - outgoing.shape[1]) in (0, HARMONICS) and gloss.blurs.shape[0] == k
         shapes = shapes and (values.shape[2] == 1 + outgoing.shape[1] or gloss.blurs.shape[1] == HARMONICS)
         shapes = shapes and cuts.shape[0] == n and square(cuts.shape[1]) and cuts.is_contiguous()

@@ -1,23 +1,22 @@
 // The view step of ptt/ops/view.py in one pass over the points (float32, isotropic lobes, three channels):
 //
 //     B[v, c] = sum over o of  V[o, wo] Q[c, o, v]
-//             + specular[c] sum over k of  rho_k(wo) (E_k[c, mirror] cut_k[v, mirror]
-//                                                     + sum over s of  z_k[s] Y_s(mirror) I[c, s, v])
+//             + specular[c] sum over k of  rho_k(wo) (E_k[c, a_k] cut_k[v, a_k] + sum over s of  z_k[s] Y_s(a) I[c, s, v])
 //
-// Q and I are in 16 bits. Points go LANES at a time, one in each lane of a vector. `look` finds where a group looks and
-// fetches its words of the cuts ahead of time; `shade` sums, AHEAD groups later. Indices are clamped, so that no input
-// reads out of bounds.
+// Q and I are in 16 bits. Points go LANES at a time, one in each lane of a vector; the light of lobes, which each point
+// reads in places of its own, is summed point by point. `look` finds where a group looks and fetches its words of the
+// cuts ahead of time; `shade` sums, AHEAD groups later. Indices are clamped, so that no input reads out of bounds.
 
 #include "lanes.h"
 
-constexpr int AHEAD = 2;        // groups
+constexpr int AHEAD = 1;        // groups
 constexpr int TILE = 4;         // cells, of the cuts
 
 // As relight.py lays it out; shapes as ptt/ops/view.py documents them.
 struct Arguments {
     const float *position, *frame, *colour, *eye, *outgoing;
     const Half *sent;
-    const float *unit, *rho, *specular, *maps, *turn, *blurs;
+    const float *unit, *rho, *axes, *specular, *maps, *turn, *blurs;
     const int32_t *cuts;
     const int64_t *which, *place;
     float *line, *out;
@@ -47,9 +46,8 @@ static inline __attribute__((always_inline)) void mix(const float *table, int co
     }
 }
 
-// atan2(s, z) of s >= 0, and of max(z, 0): pi / 4 + atan((s - z) / (s + z)), to 1e-7 (Abramowitz and Stegun 4.4.49)
+// atan2(s, z) of s, z >= 0: pi / 4 + atan((s - z) / (s + z)), to 1e-7 (Abramowitz and Stegun 4.4.49)
 static inline Lanes angle(Lanes s, Lanes z) {
-    z = most(z, Lanes{});
     Lanes t = (s - z) / most(s + z, all(TINY)), u = t * t, p = all(0.0028662257f);
     for (float a : {-0.0161657367f, 0.0429096138f, -0.0752896400f, 0.1065626393f, -0.1420889944f, 0.1999355085f,
                     -0.3333314528f, 1.0f})
@@ -78,13 +76,21 @@ static inline void harmonics(Lanes x, Lanes y, Lanes z, Lanes *out) {
     out[15] = 0.5900435899266435f * x * (x * x - 3.0f * y * y);
 }
 
-struct Look {  // of a group of points
-    Lanes wo[3], axis[3];  // to the eye, local; the mirror direction, in the world
-    Corners cut;
+// Of a group of points: the direction to the eye, local; the axes of lobes, local (-along x, -along y, up), and what they
+// are made of in the world: along times flat and up times normal.
+template <int K>
+struct Look {
+    Lanes wo[3], flat[3], normal[3], rho[K + !K], along[K + !K], up[K + !K];
+    Place cut[K + !K];
+    Ints first[K + !K];  // word of the cuts
+    bool lit[K + !K];     // whether any point has the lobe
 };
 
+// Where a row or a column of the cuts lies, in tiles so far apart whose cells are so far apart
+static inline Ints tiled(Ints i, int far, int near) { return (i >> 2) * far + (i & (TILE - 1)) * near; }
+
 template <int K>
-static inline void look(const Arguments &g, int64_t v, Look &at) {
+static inline void look(const Arguments &g, int64_t v, Look<K> &at) {
     const int64_t n = g.blocks * g.width;
     Lanes toward[3], length = all(0);
     for (int c = 0; c < 3; ++c) {
@@ -94,26 +100,84 @@ static inline void look(const Arguments &g, int64_t v, Look &at) {
     const Lanes scale = 1.0f / root(most(length, all(TINY)));
     if (!g.distant)
         for (auto &t : toward) t *= scale;
-    Lanes normal[3];
     for (int r = 0; r < 3; ++r) {
         at.wo[r] = all(0);
-        for (int c = 0; c < 3; ++c) at.wo[r] += (normal[c] = load(g.frame + (3 * r + c) * n + v)) * toward[c];
+        for (int c = 0; c < 3; ++c) at.wo[r] += (at.normal[c] = load(g.frame + (3 * r + c) * n + v)) * toward[c];
     }
-    for (int c = 0; c < 3; ++c) at.axis[c] = 2.0f * at.wo[2] * normal[c] - toward[c];
-    if (K == 0) return;
-    Lanes x = -at.wo[0], y = -at.wo[1], flat = 1.0f / most(size(x) + size(y) + size(at.wo[2]), all(TINY));
-    at.cut = corners<TILE>((x + y) * flat, (x - y) * flat, g.cells, false);
+    if constexpr (K > 0) {
+        for (int c = 0; c < 3; ++c) at.flat[c] = at.wo[2] * at.normal[c] - toward[c];
+        const Lanes x = -at.wo[0], y = -at.wo[1];
+        Lanes tilt = angle(root(x * x + y * y), size(at.wo[2])) * (g.tilts * 0.63661977f) - 0.5f;
+        tilt = least(most(tilt, all(0)), all(g.tilts - 1));
+        const Ints below = clamp(whole(tilt), std::max(g.tilts - 2, 0)), above = clamp(below + 1, g.tilts - 1);
+        tilt -= real(below);
+        const Ints rows[2] = {below * K, above * K}, pairs[2] = {2 * rows[0], 2 * rows[1]};
+        const Lanes shares[2] = {1.0f - tilt, tilt};
+        mix(g.rho, K, rows, shares, [&](int k, Lanes r) { at.rho[k] = r; });
+        mix(g.axes, 2 * K, pairs, shares, [&](int k, Lanes r) { (k < K ? at.along[k] : at.up[k - K]) = r; });
+        const Lanes flat = size(x) + size(y), a = x + y, b = x - y;
+        for (int k = 0; k < K; ++k) {
+            if (!(at.lit[k] = any(at.rho[k] != 0))) continue;
+            const Lanes scaled = at.along[k] / most(size(at.along[k]) * flat + size(at.up[k]), all(TINY));
+            at.cut[k] = place(a * scaled, b * scaled, g.cells);
+            at.first[k] = tiled(at.cut[k].row, g.cells / TILE * TILE * TILE, TILE) + tiled(at.cut[k].column, TILE * TILE, 1);
+        }
+    }
 }
 
-// Asks for the words of the cuts of lane l; the other corners share a tile with one of these.
-static inline void fetch(const Arguments &g, int64_t v, const Look &at, int l) {
+// Asks for the words of the cuts of lane l: the first corner of each lobe, with which the others often share a tile.
+template <int K>
+static inline void fetch(const Arguments &g, int64_t v, const Look<K> &at, int l) {
     const int32_t *cuts = g.cuts + (v + l) * g.cells * g.cells;
-    __builtin_prefetch(cuts + at.cut.cell[0][l]);
-    __builtin_prefetch(cuts + at.cut.cell[3][l]);
+    for (int k = 0; k < K; ++k)
+        if (at.lit[k]) __builtin_prefetch(cuts + at.first[k][l]);
+}
+
+// The light about the axes: sum over k of rho_k cut_k E_k, channel by channel.
+template <int K>
+static inline void reflect(const Arguments &g, int64_t v, const Look<K> &at, Lanes *lit) {
+    const int stride = g.cells * g.cells;
+    const Ints point = lane() * stride;
+    Lanes flat[3], normal[3];  // turned with the light
+    turned(at.flat, g.turn, flat), turned(at.normal, g.turn, normal);
+    alignas(64) int32_t first[K][LANES];
+    alignas(64) float share[K][3][LANES];
+    int count = 0;
+    for (int k = 0; k < K; ++k) {
+        if (!at.lit[k]) continue;
+        const Place &p = at.cut[k];
+        const int far = g.cells / TILE * TILE * TILE;
+        const Ints rows[2] = {tiled(p.row, far, TILE), tiled(p.row + 1, far, TILE)};
+        const Ints columns[2] = {tiled(p.column, TILE * TILE, 1), tiled(p.column + 1, TILE * TILE, 1)};
+        Lanes cut[4], d[3];
+        for (int j = 0; j < 4; ++j) {
+            const Ints word = (Ints)gather((const float *)g.cuts + v * stride, rows[j >> 1] + columns[j & 1] + point);
+            cut[j] = real((word >> (8 * (int)g.which[k])) & 255);
+        }
+        for (int c = 0; c < 3; ++c) d[c] = at.along[k] * flat[c] + at.up[k] * normal[c];
+        const Place on = place_on_sphere(d, g.map);
+        const Ints from = ((k * g.map + on.row) * g.map + on.column) * 4;
+        const Lanes shares[3] = {blend(cut, p.x, p.y) * at.rho[k] * (1.0f / 255), on.x, on.y};
+        std::memcpy(first[count], &from, sizeof from), std::memcpy(share[count++], shares, sizeof shares);
+    }
+    alignas(64) float sums[LANES][4];
+    for (int l = 0; l < LANES; ++l) {
+        Four sum = {};
+        for (int k = 0; k < count; ++k) {
+            const float *p = g.maps + first[k][l];
+            Four e[4];
+            std::memcpy(e, p, 2 * sizeof *e), std::memcpy(e + 2, p + 4 * g.map, 2 * sizeof *e);
+            sum += share[k][0][l] * blend(e, share[k][1][l], share[k][2][l]);
+        }
+        std::memcpy(sums[l], &sum, sizeof sum);
+    }
+    Lanes out[4];
+    gather_four(sums[0], 4 * lane(), out);
+    for (int c = 0; c < 3; ++c) lit[c] = out[c];
 }
 
 template <int K>
-static inline void shade(const Arguments &g, int64_t v, const Look &at, int64_t later, const Look &next) {
+static inline void shade(const Arguments &g, int64_t v, const Look<K> &at, int64_t later, const Look<K> &next) {
     const int w = g.width, o = g.factors;
     const Half *sent = g.sent + (v / w * 3 * g.rows) * w + v % w;
     const Half *q[3] = {sent, sent + g.rows * w, sent + 2 * g.rows * w};
@@ -130,39 +194,19 @@ static inline void shade(const Arguments &g, int64_t v, const Look &at, int64_t 
     }
     for (auto &sum : out) sum *= unit;
     if constexpr (K > 0) {
-        Lanes rho[K], x = -at.wo[0], y = -at.wo[1], z = size(at.wo[2]);
-        Lanes tilt = angle(root(x * x + y * y), at.wo[2]) * (g.tilts * 0.63661977f) - 0.5f;
-        tilt = least(most(tilt, all(0)), all(g.tilts - 1));
-        Ints below = clamp(whole(tilt), std::max(g.tilts - 2, 0)), above = clamp(below + 1, g.tilts - 1);
-        tilt -= real(below);
-        Ints tilts[2] = {below * K, above * K};
-        Lanes shares[2] = {1.0f - tilt, tilt};
-        mix(g.rho, K, tilts, shares, [&](int k, Lanes r) { rho[k] = r; });
-
-        Lanes cut[K] = {};  // cut_k: a byte of each word
-        const int stride = g.cells * g.cells;
-        for (int j = 0; j < 4; ++j) {
-            Lanes bits = gather((const float *)g.cuts + v * stride, at.cut.cell[j] + lane() * stride);
-            for (int k = 0; k < K; ++k) cut[k] += at.cut.weight[j] * real(((Ints)bits >> (8 * (int)g.which[k])) & 255);
-        }
-
-        Lanes d[3];  // the mirror direction on the map, turned with the light
-        turned(at.axis, g.turn, d);
-        Corners on = on_sphere(d, g.map);
-        Lanes lit[3] = {};
-        for (auto &cell : on.cell) cell *= 3 * K;
-        Lanes light[3 * K];
-        mix(g.maps, 3 * K, on.cell, on.weight, [&](int i, Lanes e) { light[i] = e; });
-        for (int k = 0; k < K; ++k)
-            for (int c = 0; c < 3; ++c) lit[c] += rho[k] * cut[k] * (1.0f / 255) * light[3 * k + c];
+        Lanes lit[3];
+        reflect(g, v, at, lit);
         if (!g.harmonics)
             for (int l = 0; l < LANES; ++l) fetch(g, later, next, l);
         else {
-            Lanes basis[HARMONICS];
-            harmonics(x, y, z, basis);
+            Lanes basis[HARMONICS], along = all(0), up = all(0);
+            for (int k = 0; k < K; ++k) along += at.rho[k] * at.along[k], up += at.rho[k] * at.up[k];
+            const Lanes x = -along * at.wo[0], y = -along * at.wo[1];
+            const Lanes scale = 1.0f / most(root(x * x + y * y + up * up), all(TINY));
+            harmonics(x * scale, y * scale, up * scale, basis);
             for (int s = 0; s < HARMONICS; ++s) {
-                Lanes blur = rho[0] * g.blurs[s];
-                for (int k = 1; k < K; ++k) blur += rho[k] * g.blurs[k * HARMONICS + s];
+                Lanes blur = at.rho[0] * g.blurs[s];
+                for (int k = 1; k < K; ++k) blur += at.rho[k] * g.blurs[k * HARMONICS + s];
                 blur *= basis[s] * unit;
                 if (s < LANES) fetch(g, later, next, s);
                 for (int c = 0; c < 3; ++c) lit[c] += blur * load(q[c] + (o + s) * w);
@@ -181,12 +225,12 @@ static void run(const Arguments &g) {
     {
         const int64_t t = omp_get_thread_num(), of = omp_get_num_threads();
         const int64_t first = groups * t / of, end = groups * (t + 1) / of;
-        Look at[1 + AHEAD];
+        Look<K> at[1 + AHEAD];
         for (int64_t i = first - AHEAD; i < end && first < end; ++i) {
             const int64_t later = std::min(i + AHEAD, end - 1);
-            Look &next = at[(i + AHEAD) % (1 + AHEAD)];
-            look<K>(g, later * LANES, next);
-            if (i >= first) shade<K>(g, i * LANES, at[i % (1 + AHEAD)], later * LANES, next);
+            Look<K> &next = at[(i + AHEAD) % (1 + AHEAD)];
+            look(g, later * LANES, next);
+            if (i >= first) shade(g, i * LANES, at[i % (1 + AHEAD)], later * LANES, next);
         }
 #pragma omp barrier
         for (int64_t p = g.points * t / of; p < g.points * (t + 1) / of; ++p)
