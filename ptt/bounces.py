@@ -28,7 +28,7 @@ from ptt.ops import haar, harmonics, lobes, octahedral, transfer
 from ptt.ops.sphere import Cube
 from ptt.precompute import RawTransfer
 
-MIRRORS = Cube(16)  # cells to which mirror directions are rounded
+MIRRORS = Cube(16)  # cells to which the axes of lobes are rounded
 SMOOTH = Cube(32)  # cells on which lobes are integrated
 CUTS = 24  # cells along an edge of the hemispherical map of fractional visibility
 

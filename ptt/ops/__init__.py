@@ -8,9 +8,10 @@ The BRDF as a Tucker tensor (equation 2; `tucker`, on the disk grid of `sphere`,
 
     f(h, wi, wo) ~ sum over h', o, i of  core[h', o, i] u_h[h, h'] u_o[o, wo] u_i[i, wi]
 
-and, apart from it, lobes around the mirror direction (section 4.1; `lobes`), G_k Gaussians of given widths:
+and, apart from it, lobes near the mirror direction (section 4.1; `separation`, `lobes`), G_k Gaussians of given widths
+and integral 1:
 
-    f(h, wi, wo) ~ tensor + sum over k of a_k(h, wo) G_k(angle between wi and the mirror image of wo)
+    f(h, wi, wo) max(wi . n, 0) ~ tensor + sum over k of rho_k(h, wo) G_k(angle between wi and a_k(wo))
 
 Direct transfer, per texel t of a cube map (`transfer`; rays by `raycast`), and in its Haar basis (`haar`):
 
@@ -47,7 +48,8 @@ Triple products in local frames (Ma et al. 2006; `geodesic`, `triple`, `local`, 
 
 Departures from Sun et al.: the cosine weights of each point are scaled so that its hemisphere sums to pi; coefficients
 of T0 are shared out among the factors of a point by what each adds to the picture (`ptt.assembly`); lobes take over all
-light that the smooth remainder lacks (`lobes`); indirect light arrives in harmonics of the hemisphere, not the sphere.
+light that the smooth remainder lacks, and lean to where it comes from (`separation`); indirect light arrives in
+harmonics of the hemisphere, not the sphere.
 
 Example, the integral of a constant over the sphere, in wavelets:
     >>> import torch

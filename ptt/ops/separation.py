@@ -43,7 +43,7 @@ FINEST, NODES = 1e-4, 64  # of the quadrature of the light that lobes reflect (`
 ARCS = {True: 16, False: 32}  # of the same, for an isotropic BRDF and for another
 STEPS = 24  # of the mixture
 LEAST = 1e-3  # of the light: a lobe that would reflect less has none, so that it need not be looked up
-PRIOR = 0.003  # of the light: so much more does each lobe find about the mirror direction
+PRIOR = 0.001  # of the light: so much more does each lobe find about the mirror direction
 
 
 class Lobes(NamedTuple):

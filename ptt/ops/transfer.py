@@ -71,7 +71,7 @@ def lobe_visibility(
 
     bits (v, bytes): packed visibility of the cells of a cube map (`visibility`)
     frames (v, 3, 3): rows tangent, bitangent, normal
-    cells: along an edge of the map of mirror directions, a `HemiOctahedral` grid
+    cells: along an edge of the map of axes, a `HemiOctahedral` grid
     angles (k): of the lobes; weights are Gaussian times cosine, and what lies below the horizon is hidden
 
     Sun et al. 2007, section 4.1.

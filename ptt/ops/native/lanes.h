@@ -147,8 +147,7 @@ struct Corners {  // of a bilinear lookup
     Lanes weight[4];
 };
 
-// ptt.ops.octahedral.corners, of cells in `tiles` where these are larger than one
-template <int TILE = 1>
+// ptt.ops.octahedral.corners
 static inline Corners corners(Lanes a, Lanes b, int n, bool wrap) {
     const float half = 0.5f * n;
     Lanes x = least(most((a + 1.0f) * half - 0.5f, all(-1)), all(n));
@@ -164,7 +163,7 @@ static inline Corners corners(Lanes a, Lanes b, int n, bool wrap) {
             i = (c < 0) | (c >= n) ? n - 1 - r : r;
         }
         i = clamp(i, n - 1), k = clamp(k, n - 1);
-        at.cell[j] = (i / TILE * (n / TILE) + k / TILE) * (TILE * TILE) + i % TILE * TILE + k % TILE;
+        at.cell[j] = i * n + k;
         at.weight[j] = (j & 1 ? x : 1.0f - x) * (j >> 1 ? y : 1.0f - y);
     }
     return at;

@@ -173,7 +173,11 @@ def _fits(points: Points, eye: Tensor, outgoing: Tensor, sent: Sent, gloss: Glos
         shapes = shapes and 0 < k <= LOBES and gloss.rho.shape == (len(gloss.axes), k) and gloss.specular.shape == (3,)
         shapes = shapes and gloss.axes.shape[1] == 2 * k
         shapes = (
-            shapes and gloss.turn.shape == (3, 3) and square(gloss.maps.shape[1]) and gloss.maps.shape[::2] == (k, 4)
+            shapes
+            and gloss.turn.shape == (3, 3)
+            and square(gloss.maps.shape[1])
+            and gloss.maps.shape[::2] == (k, 4)
+            and gloss.maps.shape[1] > 1
         )
         shapes = shapes and (values.shape[2] - 1 - outgoing.shape[1]) in (0, HARMONICS) and gloss.blurs.shape[0] == k
         shapes = shapes and (values.shape[2] == 1 + outgoing.shape[1] or gloss.blurs.shape[1] == HARMONICS)

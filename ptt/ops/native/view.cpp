@@ -9,8 +9,8 @@
 
 #include "lanes.h"
 
-constexpr int AHEAD = 1;        // groups
-constexpr int TILE = 4;         // cells, of the cuts
+constexpr int AHEAD = 1;  // groups
+constexpr int TILE = 4;   // cells, of the cuts
 
 // As relight.py lays it out; shapes as ptt/ops/view.py documents them.
 struct Arguments {
@@ -86,8 +86,9 @@ struct Look {
     bool lit[K + !K];     // whether any point has the lobe
 };
 
-// Where a row or a column of the cuts lies, in tiles so far apart whose cells are so far apart
-static inline Ints tiled(Ints i, int far, int near) { return (i >> 2) * far + (i & (TILE - 1)) * near; }
+// Where a row and a column of the cuts lie, together, in `tiles` of n cells along an edge
+static inline Ints in_row(Ints i, int n) { return (i & -TILE) * n + (i & (TILE - 1)) * TILE; }
+static inline Ints in_column(Ints i) { return (i & -TILE) * TILE + (i & (TILE - 1)); }
 
 template <int K>
 static inline void look(const Arguments &g, int64_t v, Look<K> &at) {
@@ -120,7 +121,7 @@ static inline void look(const Arguments &g, int64_t v, Look<K> &at) {
             if (!(at.lit[k] = any(at.rho[k] != 0))) continue;
             const Lanes scaled = at.along[k] / most(size(at.along[k]) * flat + size(at.up[k]), all(TINY));
             at.cut[k] = place(a * scaled, b * scaled, g.cells);
-            at.first[k] = tiled(at.cut[k].row, g.cells / TILE * TILE * TILE, TILE) + tiled(at.cut[k].column, TILE * TILE, 1);
+            at.first[k] = in_row(at.cut[k].row, g.cells) + in_column(at.cut[k].column);
         }
     }
 }
@@ -146,9 +147,8 @@ static inline void reflect(const Arguments &g, int64_t v, const Look<K> &at, Lan
     for (int k = 0; k < K; ++k) {
         if (!at.lit[k]) continue;
         const Place &p = at.cut[k];
-        const int far = g.cells / TILE * TILE * TILE;
-        const Ints rows[2] = {tiled(p.row, far, TILE), tiled(p.row + 1, far, TILE)};
-        const Ints columns[2] = {tiled(p.column, TILE * TILE, 1), tiled(p.column + 1, TILE * TILE, 1)};
+        const Ints rows[2] = {in_row(p.row, g.cells), in_row(p.row + 1, g.cells)};
+        const Ints columns[2] = {in_column(p.column), in_column(p.column + 1)};
         Lanes cut[4], d[3];
         for (int j = 0; j < 4; ++j) {
             const Ints word = (Ints)gather((const float *)g.cuts + v * stride, rows[j >> 1] + columns[j & 1] + point);
