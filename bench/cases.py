@@ -18,7 +18,7 @@ class Case:
 
     table: name, vertices, megabytes, hours (precomputation, compression), frames/s (view, and BRDF, and light)
     seconds: goal of precomputation and compression together
-    vertices, whole: how many are compared, and with which materials the uncompressed transfer is, under one map
+    vertices, whole, maps: how many are compared; with which materials and under how many lights uncompressed, too
     """
 
     space: Callable[[], ptt.BRDFSpace]
@@ -29,7 +29,8 @@ class Case:
     table: tuple[str, float, float, tuple[float, float], tuple[float, float, float]]
     seconds: float | None = None
     vertices: int = 600
-    whole: tuple[str, ...] = ("rough", "moderate", "metallic", "mirror-like")
+    whole: tuple[str, ...] = ("rough", "moderate", "mirror-like")
+    maps: int = len(LIGHTS)
 
 
 def blinn_phong_materials() -> dict[str, ptt.Material]:
@@ -62,6 +63,6 @@ CASES = {
     ),
     "engine": Case(
         ptt.BRDFSpace.fitted, (4, 8, 8), 4, 4, fitted_materials,
-        ("Watch", 62100, 603, (15.7, 14.3), (43.06, 7.23, 1.53)), 1800.0, 300, ("moderate",),
+        ("Watch", 62100, 603, (15.7, 14.3), (43.06, 7.23, 1.53)), 1800.0, 300, ("moderate",), 1,
     ),
 }  # fmt: skip
