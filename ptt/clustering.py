@@ -145,7 +145,7 @@ class _Region:
             combination[at, : q.shape[1]] = (q * full).float() * math.sqrt(len(at))
             made.append(self._lifted(at, combination[at] / max(len(at), 1), clusters))
         columns, t0, lighting, t1, t2 = (torch.stack(parts) for parts in zip(*made, strict=True))
-        cluster, place = in_blocks(labels)
+        cluster, place = in_blocks(labels, self.transfer.raw.receivers.frames[self.first : self.end, 2])
         weights = torch.zeros(len(cluster) * WIDTH, e).index_copy(0, place, combination)
         return ClusteredTransfer(
             self.slots.tolist(),

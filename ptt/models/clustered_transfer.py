@@ -18,9 +18,11 @@ from torch import Tensor, nn
 
 from ptt.models.indirect import ORDER
 from ptt.ops.memory import in_large_pages
+from ptt.ops.octahedral import Octahedral, tiles
 from ptt.saved import Shapes
 
 WIDTH = 128  # points in a block
+FACING = 16  # cells along an edge of the map of normals by which points are ordered
 LOBES = 4  # bytes in a cell of the cuts
 STORAGE = {"float32": torch.float32, "float16": torch.float16, "bfloat16": torch.bfloat16}
 
@@ -124,12 +126,16 @@ class ClusteredTransfer(nn.Module):
         return cls(config["slots"], config["pairs"], **tensors)
 
 
-def in_blocks(labels: Tensor) -> tuple[Tensor, Tensor]:
-    """cluster (b,) of each block and place (v,) of each point, for the cluster (v,) of each, 0..k-1."""
+def in_blocks(labels: Tensor, normals: Tensor) -> tuple[Tensor, Tensor]:
+    """cluster (b,) of each block and place (v,) of each point, for the cluster (v,) of each, 0..k-1.
+
+    Points of a cluster lie by their normals (v, 3): neighbours then look in like directions, and share lobes.
+    """
     counts = labels.bincount()
     blocks = (counts + WIDTH - 1) // WIDTH
     first = (blocks.cumsum(0) - blocks) * WIDTH
-    order = labels.argsort(stable=True)
+    towards = tiles(FACING)[Octahedral(FACING).cell(normals)].argsort(stable=True)
+    order = towards[labels[towards].argsort(stable=True)]
     rank = torch.empty_like(order)
     rank[order] = torch.arange(len(labels)) - (counts.cumsum(0) - counts)[labels[order]]
     return torch.arange(len(counts)).repeat_interleave(blocks), first[labels] + rank
