@@ -20,10 +20,10 @@ from ptt.ops.native import kernels
 from ptt.ops.native.relight import STORED
 from ptt.ops.relight import Arriving, Responses, Sent
 from ptt.ops.sphere import Cube, turn
-from ptt.ops.view import Gloss, Points
+from ptt.ops.view import Gloss, Points, Region
 
 W, TILTS = 32, 20
-Inputs = tuple[Points, Tensor, Tensor, Sent, Gloss | None]
+Inputs = tuple[list[Region], Tensor]
 
 
 def inputs(
@@ -43,7 +43,7 @@ def inputs(
     turn, blurs = rotations(1, g)[0].contiguous(), torch.rand(k, s, generator=g)
     gloss = Gloss(which, rho, axes, torch.rand(3, generator=g), maps, turn, blurs) if k else None
     sent = Sent(torch.randn(b, 3, o + s, W, generator=g).half(), torch.rand(b, generator=g))
-    return points, eye, torch.randn(14 * 14, o - 1, generator=g), sent, gloss
+    return [Region(points, eye, sent, gloss)], torch.randn(14 * 14, o - 1, generator=g)
 
 
 def rotations(n: int, g: torch.Generator) -> Tensor:
@@ -52,12 +52,17 @@ def rotations(n: int, g: torch.Generator) -> Tensor:
 
 
 def double(x: Inputs) -> Inputs:
-    points, eye, outgoing, sent, gloss = x
+    regions, outgoing = x
+    return [in_double(region) for region in regions], outgoing.double()
+
+
+def in_double(region: Region) -> Region:
+    points, eye, sent, gloss = region
     if gloss is not None:
         gloss = Gloss(*(t.double() if isinstance(t, Tensor) and t.is_floating_point() else t for t in gloss))
     colour = None if points.colour is None else points.colour.double()
     points = points._replace(position=points.position.double(), frame=points.frame.double(), colour=colour)
-    return points, eye.double(), outgoing.double(), Sent(*(t.double() for t in sent)), gloss
+    return Region(points, eye.double(), Sent(*(t.double() for t in sent)), gloss)
 
 
 @pytest.fixture
@@ -97,44 +102,55 @@ def test_agrees_for_all_sizes(built: None, calls: list[int], o: int, b: int) -> 
 
 
 def test_agrees_where_directions_are_special(built: None, calls: list[int]) -> None:
-    points, _, outgoing, sent, gloss = inputs(k=4, distant=True)
-    n = points.frame[2]
-    toward = torch.stack((n, -n, points.frame[0], points.frame[1], -points.frame[0], -points.frame[1]))
-    for eye in toward:  # head-on, facing away, at the horizon
-        agree((points, eye.contiguous(), outgoing, sent, gloss), calls)
+    (region,), outgoing = inputs(k=4, distant=True)
+    tangent, bitangent, normal = region.points.frame
+    for eye in (normal, -normal, tangent, bitangent, -tangent, -bitangent):  # head-on, facing away, at the horizon
+        agree(([region._replace(eye=eye.contiguous())], outgoing), calls)
+
+
+def test_agrees_for_several_regions(built: None, calls: list[int]) -> None:
+    regions = [region for k, b in ((4, 2), (0, 5), (2, 1)) for region in inputs(k, 16 if k else 0, b=b)[0]]
+    agree((regions, inputs()[1]), calls)
 
 
 def test_a_point_at_the_eye_is_finite(built: None) -> None:
-    points, _, *rest = inputs(k=4)
-    assert native.view(points, points.position[:, 5].contiguous(), *rest).isfinite().all()
+    (region,), outgoing = inputs(k=4)
+    region = region._replace(eye=region.points.position[:, 5].contiguous())
+    assert native.view([region], outgoing).isfinite().all()
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        double,
-        lambda x: (*x[:3], x[3]._replace(unit=x[3].unit.clone().requires_grad_()), x[4]),
-        lambda x: (x[0]._replace(frame=x[0].frame.transpose(0, 1)), *x[1:]),
-        lambda x: (*x[:4], x[4]._replace(rho=inputs(turns=2)[4].rho)),
+        lambda x: x._replace(sent=x.sent._replace(unit=x.sent.unit.clone().requires_grad_())),
+        lambda x: x._replace(points=x.points._replace(frame=x.points.frame.transpose(0, 1))),
+        lambda x: inputs(turns=2)[0][0],
     ],
-    ids=["float64", "gradient", "strided", "anisotropic"],
+    ids=["gradient", "strided", "anisotropic"],
 )
-def test_what_the_kernel_is_not_for_goes_the_plain_way(calls: list[int], change: Callable[[Inputs], Inputs]) -> None:
-    x = change(inputs())
+def test_what_the_kernel_is_not_for_goes_the_plain_way(calls: list[int], change: Callable[[Region], Region]) -> None:
+    (region,), outgoing = inputs()
+    x = [region, change(region)], outgoing
+    got = native.view(*x)
+    assert calls == [1] and torch.equal(got, plain.view(*x))
+
+
+def test_float64_goes_the_plain_way(calls: list[int]) -> None:
+    x = double(inputs())
     got = native.view(*x)
     assert calls == [1] and torch.equal(got, plain.view(*x))
 
 
 def test_gradients_pass() -> None:
-    points, eye, outgoing, sent, gloss = inputs()
-    values = sent.values.float().requires_grad_()
-    native.view(points, eye, outgoing, sent._replace(values=values), gloss).sum().backward()
+    (region,), outgoing = inputs()
+    values = region.sent.values.float().requires_grad_()
+    native.view([region._replace(sent=region.sent._replace(values=values))], outgoing).sum().backward()
     assert values.grad is not None and values.grad.isfinite().all()
 
 
 def test_without_gradients_a_parameter_goes_by_the_kernel(built: None, calls: list[int]) -> None:
     x = inputs()
-    x[2].requires_grad_()
+    x[1].requires_grad_()
     with torch.no_grad():
         agree(x, calls)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -17,12 +18,12 @@ class Watch:
 
     def __init__(self, tensors: Iterable[Tensor]) -> None:
         self.tensors = tuple(tensors)
-        self.versions = tuple(-1 if t.is_inference() else t._version for t in self.tensors)
+        self.versions = [-1 if t.is_inference() else t._version for t in self.tensors]
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Watch) or other.versions != self.versions:
             return False
-        return all(a is b for a, b in zip(self.tensors, other.tensors, strict=True))
+        return all(map(operator.is_, self.tensors, other.tensors))
 
 
 def watched(*modules: nn.Module) -> Watch:
@@ -44,7 +45,8 @@ class Cache:
         """
         leaves: list[Tensor] = []
         stamp = _stamp(inputs, leaves)
-        if any(t.is_inference() or (t.requires_grad and torch.is_grad_enabled()) for t in leaves):
+        recorded = torch.is_grad_enabled()
+        if any([t.is_inference() or (recorded and t.requires_grad) for t in leaves]):
             return compute()
         stamp = (stamp, torch.is_inference_mode_enabled())
         if self._stamp != stamp:
@@ -59,7 +61,7 @@ def _stamp(value: Any, leaves: list[Tensor]) -> Any:
         if value.is_inference():
             return None
         if value.layout == torch.strided and value.numel() <= SMALL:
-            return value.dtype, value.device, value.shape, tuple(value.detach().flatten().tolist())
+            return value.dtype, value.device, value.shape, value.tolist()
         return Watch((value,))
     if isinstance(value, Watch):
         leaves.extend(value.tensors)

@@ -18,7 +18,7 @@ from ptt.models.light_maps import LightMaps
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import harmonics, native, relight
 from ptt.ops.relight import Arriving, Responses, Sent
-from ptt.ops.view import Gloss, Points, view
+from ptt.ops.view import Gloss, Points, Region, view
 
 DULL = 1e-4  # a lobe that reflects no more than this is left out
 
@@ -169,11 +169,11 @@ class ClusterSteps(nn.Module):
     def radiance(self, exitant: Exitant, eye: Tensor) -> Tensor:
         """View step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
         u_o = self.model.brdf.u_o
-        outgoing, rows = self._outgoing(u_o, lambda: u_o.flatten(1).T.contiguous()), []
+        outgoing, seen = self._outgoing(u_o, lambda: u_o.flatten(1).T.contiguous()), []
         for r, (region, (first, end)) in enumerate(zip(self.model.clustered, self.model.receivers.spans, strict=True)):
             position, frame, colour = (self._buffers.get(f"{name}{r}") for name in ("position", "frame", "colour"))
             assert position is not None and frame is not None
             points = Points(position, frame, colour, region.cuts, region.place)
             toward = eye if eye.ndim == 1 else region.in_line(eye[first:end])
-            rows.append(self._ops.view(points, toward, outgoing, exitant.sent[r], exitant.gloss[r]))
-        return torch.cat(rows)
+            seen.append(Region(points, toward, exitant.sent[r], exitant.gloss[r]))
+        return self._ops.view(seen, outgoing)

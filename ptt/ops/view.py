@@ -15,6 +15,7 @@ Points are innermost, in blocks of w; n = b * w of them.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -62,13 +63,26 @@ class Gloss(NamedTuple):
     blurs: Tensor
 
 
-def view(points: Points, eye: Tensor, outgoing: Tensor, sent: Sent, gloss: Gloss | None) -> Tensor:
-    """B (v, c).
+class Region(NamedTuple):
+    """What is seen of a region.
 
-    eye (3,), or unit directions (3, n) to it
-    outgoing (cells, o): V without the diffuse factor, on the disk grid
+    points; eye (3,), or unit directions (3, n) to it
     sent: values (b, c, 1 + o + s, w), Q, then I; s = 0 where no lobe is lit by it
+    gloss: None for a material without lobes
     """
+
+    points: Points
+    eye: Tensor
+    sent: Sent
+    gloss: Gloss | None
+
+
+def view(regions: Sequence[Region], outgoing: Tensor) -> Tensor:
+    """B (v, c) of the points of all regions; outgoing (cells, o): V without the diffuse factor, on the disk grid."""
+    return torch.cat([_seen(*region, outgoing) for region in regions])
+
+
+def _seen(points: Points, eye: Tensor, sent: Sent, gloss: Gloss | None, outgoing: Tensor) -> Tensor:
     wo = _toward(points, eye)
     values, o = sent.values.to(outgoing.dtype), 1 + outgoing.shape[1]
     factors = mix(outgoing, *corners(wo.T[:, :2], _side(outgoing), wrap=False))

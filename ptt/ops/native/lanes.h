@@ -24,6 +24,7 @@ constexpr int HARMONICS = 16;  // in which indirect light arrives: of order 4
 typedef float Lanes __attribute__((vector_size(4 * LANES)));
 typedef int32_t Ints __attribute__((vector_size(4 * LANES)));
 typedef float Four __attribute__((vector_size(16)));
+typedef float Eight __attribute__((vector_size(32)));
 typedef uint16_t Shorts __attribute__((vector_size(2 * LANES)));
 
 // The types of torch, by the numbers that relight.py gives them.

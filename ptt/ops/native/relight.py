@@ -20,7 +20,7 @@ from ptt.ops.native.arguments import address, ready, side, square
 from ptt.ops.native.kernels import library
 from ptt.ops.octahedral import TILE
 from ptt.ops.relight import Arriving, Responses, Sent
-from ptt.ops.view import Gloss, Points
+from ptt.ops.view import Gloss, Region
 
 STORED = (torch.float32, torch.float16, torch.bfloat16)
 INDEX = (torch.int64,)
@@ -130,16 +130,25 @@ def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Sent:
     return sent
 
 
-def view(points: Points, eye: Tensor, outgoing: Tensor, sent: Sent, gloss: Gloss | None) -> Tensor:
+def view(regions: Sequence[Region], outgoing: Tensor) -> Tensor:
     """B (v, c), as `ptt.ops.view.view`; where a point is at the eye, its lobes are finite."""
-    kernels = library() if _fits(points, eye, outgoing, sent, gloss) else None
+    kernels = library() if all(_fits(region, outgoing) for region in regions) else None
     if kernels is None:
-        return plain.view(points, eye, outgoing, sent, gloss)
-    b, c, rows, width = sent.values.shape
-    outgoing, eye = outgoing.contiguous(), eye.contiguous()
-    line, out = outgoing.new_empty(b * width, c), outgoing.new_empty(len(points.place), c)
-    tensors = {"position": points.position, "frame": points.frame, "place": points.place, "eye": eye, "line": line}
-    tensors |= {"outgoing": outgoing, "sent": sent.values, "unit": sent.unit, "out": out}
+        return plain.view(regions, outgoing)
+    outgoing, sizes = outgoing.contiguous(), [len(region.points.place) for region in regions]
+    line = outgoing.new_empty(max(region.points.position.shape[1] for region in regions), 3)
+    out = outgoing.new_empty(sum(sizes), 3)
+    for region, rows in zip(regions, out.split(sizes), strict=True):
+        _view(kernels, region, outgoing, line, rows)
+    return out
+
+
+def _view(kernels: ctypes.CDLL, region: Region, outgoing: Tensor, line: Tensor, out: Tensor) -> None:
+    """Of one region into out (v, 3); line (n, 3) is overwritten."""
+    points, eye, sent, gloss = region
+    b, _, rows, width = sent.values.shape
+    tensors = {"position": points.position, "frame": points.frame, "place": points.place, "eye": eye.contiguous()}
+    tensors |= {"outgoing": outgoing, "sent": sent.values, "unit": sent.unit, "line": line, "out": out}
     numbers = {"blocks": b, "width": width, "rows": rows, "points": len(out), "threads": torch.get_num_threads()}
     numbers |= {"distant": eye.ndim == 2, "factors": 1 + outgoing.shape[1], "disk": side(len(outgoing))}
     if points.colour is not None:
@@ -150,40 +159,37 @@ def view(points: Points, eye: Tensor, outgoing: Tensor, sent: Sent, gloss: Gloss
         numbers |= {"cells": side(points.cuts.shape[1]), "map": side(gloss.maps.shape[1])}
     pointers = {name: tensor.data_ptr() for name, tensor in tensors.items()}
     kernels.ptt_view(ctypes.byref(_View(**pointers, **numbers)), 0 if gloss is None else len(gloss.which))
-    return out
 
 
-def _fits(points: Points, eye: Tensor, outgoing: Tensor, sent: Sent, gloss: Gloss | None) -> bool:
-    """Whether the kernel of the view step is for these arguments."""
-    values = sent.values
-    large = [points.position, points.frame, sent.unit, *([] if points.colour is None else [points.colour])]
-    small = [eye, outgoing]
-    n = values.shape[0] * values.shape[-1]
-    shapes = values.ndim == 4 and values.shape[1] == 3 and values.shape[3] % GROUP == 0 and eye.shape in ((3,), (3, n))
-    shapes = shapes and points.position.shape == (3, n) and points.frame.shape == (3, 3, n) and square(len(outgoing))
+def _fits(region: Region, outgoing: Tensor) -> bool:
+    """Whether the kernel of the view step is for a region."""
+    points, eye, (values, unit), gloss = region
+    colour = () if points.colour is None else (points.colour,)
+    large = points.position, points.frame, unit, *colour
+    if not ready(*large, eye, outgoing) or not ready(values, types=(torch.float16,)):
+        return False
+    if not ready(points.place, types=INDEX) or not all(t.is_contiguous() for t in (*large, values, points.place)):
+        return False
+    if values.ndim != 4 or values.shape[1] != 3 or values.shape[3] % GROUP:
+        return False
+    b, _, rows, width = values.shape
+    n, o = b * width, 1 + outgoing.shape[1]
+    shapes = points.position.shape == (3, n) and points.frame.shape == (3, 3, n) and eye.shape in ((3,), (3, n))
+    shapes = shapes and all(t.shape == (3, n) for t in colour) and unit.shape == (b,)
+    shapes = shapes and square(len(outgoing)) and rows >= o
+    return shapes and (gloss is None or _fits_gloss(gloss, points.cuts, n, rows - o))
+
+
+def _fits_gloss(gloss: Gloss, cuts: Tensor, n: int, harmonics: int) -> bool:
+    which, rho, axes, specular, maps, turn, blurs = gloss
+    if not ready(rho, axes, specular, maps, turn, blurs) or not ready(which, types=INDEX):
+        return False
+    if not ready(cuts, types=(torch.int32,)) or not cuts.is_contiguous():
+        return False
+    k, tilts = len(which), len(axes)
+    shapes = 0 < k <= LOBES and rho.shape == (tilts, k) and axes.shape == (tilts, 2 * k) and specular.shape == (3,)
     shapes = (
-        shapes
-        and all(t.shape == (3, n) for t in large[3:])
-        and sent.unit.shape == values.shape[:1]
-        and values.shape[2] > outgoing.shape[1]
+        shapes and turn.shape == (3, 3) and maps.shape[::2] == (k, 4) and maps.shape[1] > 1 and square(maps.shape[1])
     )
-    if gloss is not None:
-        small += [gloss.rho, gloss.axes, gloss.specular, gloss.maps, gloss.turn, gloss.blurs]
-        k, cuts = len(gloss.which), points.cuts
-        shapes = shapes and 0 < k <= LOBES and gloss.rho.shape == (len(gloss.axes), k) and gloss.specular.shape == (3,)
-        shapes = shapes and gloss.axes.shape[1] == 2 * k
-        shapes = (
-            shapes
-            and gloss.turn.shape == (3, 3)
-            and square(gloss.maps.shape[1])
-            and gloss.maps.shape[::2] == (k, 4)
-            and gloss.maps.shape[1] > 1
-        )
-        shapes = shapes and (values.shape[2] - 1 - outgoing.shape[1]) in (0, HARMONICS) and gloss.blurs.shape[0] == k
-        shapes = shapes and (values.shape[2] == 1 + outgoing.shape[1] or gloss.blurs.shape[1] == HARMONICS)
-        shapes = shapes and cuts.shape[0] == n and square(cuts.shape[1]) and cuts.is_contiguous()
-        shapes = shapes and side(cuts.shape[1]) % TILE == 0
-        shapes = shapes and ready(cuts, types=(torch.int32,)) and ready(gloss.which, types=INDEX)
-    contiguous = all(t.is_contiguous() for t in (*large, values, points.place))
-    indices = ready(points.place, types=INDEX)
-    return shapes and contiguous and indices and ready(*large, *small) and ready(values, types=(torch.float16,))
+    shapes = shapes and (harmonics == 0 or harmonics == HARMONICS == blurs.shape[1]) and len(blurs) == k
+    return shapes and cuts.shape[0] == n and square(cuts.shape[1]) and side(cuts.shape[1]) % TILE == 0

@@ -157,19 +157,24 @@ static inline void reflect(const Arguments &g, int64_t v, const Look<K> &at, Lan
         for (int c = 0; c < 3; ++c) d[c] = at.along[k] * flat[c] + at.up[k] * normal[c];
         const Place on = place_on_sphere(d, g.map);
         const Ints from = ((k * g.map + on.row) * g.map + on.column) * 4;
-        const Lanes shares[3] = {blend(cut, p.x, p.y) * at.rho[k] * (1.0f / 255), on.x, on.y};
+        const Lanes part = blend(cut, p.x, p.y) * at.rho[k] * (1.0f / 255), right = part * on.x;
+        const Lanes shares[3] = {part - right, right, on.y};
         std::memcpy(first[count], &from, sizeof from), std::memcpy(share[count++], shares, sizeof shares);
     }
     alignas(64) float sums[LANES][4];
     for (int l = 0; l < LANES; ++l) {
-        Four sum = {};
+        Eight sum = {};  // of left corners, then of right ones
         for (int k = 0; k < count; ++k) {
-            const float *p = g.maps + first[k][l];
-            Four e[4];
-            std::memcpy(e, p, 2 * sizeof *e), std::memcpy(e + 2, p + 4 * g.map, 2 * sizeof *e);
-            sum += share[k][0][l] * blend(e, share[k][1][l], share[k][2][l]);
+            const float *p = g.maps + first[k][l], left = share[k][0][l], right = share[k][1][l];
+            Eight above, below;
+            std::memcpy(&above, p, sizeof above), std::memcpy(&below, p + 4 * g.map, sizeof below);
+            const Eight shares = {left, left, left, left, right, right, right, right};
+            sum += shares * (above + share[k][2][l] * (below - above));
         }
-        std::memcpy(sums[l], &sum, sizeof sum);
+        Four halves[2];
+        std::memcpy(halves, &sum, sizeof sum);
+        halves[0] += halves[1];
+        std::memcpy(sums[l], halves, sizeof *halves);
     }
     Lanes out[4];
     gather_four(sums[0], 4 * lane(), out);
