@@ -57,7 +57,7 @@ class Lobes(NamedTuple):
     levels: Tensor
 
 
-def separate(f: Callable[[Tensor, Tensor], Tensor], wo: Tensor, angles: Sequence[float] = ANGLES) -> Lobes:
+def separate(f: Function, wo: Tensor, angles: Sequence[float] = ANGLES) -> Lobes:
     """The lobes of a BRDF f(wi, wo) [1/sr] for outgoing directions wo (..., 3) above the horizon.
 
     angles (k): ascending, in degrees; with none, nothing is separated
@@ -75,7 +75,7 @@ def separate(f: Callable[[Tensor, Tensor], Tensor], wo: Tensor, angles: Sequence
     return Lobes(below.movedim(-1, 0), torch.stack(levels))
 
 
-def separate_isotropic(f: Callable[[Tensor, Tensor], Tensor], wo: Tensor, angles: Sequence[float] = ANGLES) -> Lobes:
+def separate_isotropic(f: Function, wo: Tensor, angles: Sequence[float] = ANGLES) -> Lobes:
     """`separate` for wo (n, 3), once for each of their angles to the normal: what turning about it does not change."""
     cosines, rows = wo[:, 2].mul(1 << 20).round().unique(return_inverse=True)
     z = (cosines / (1 << 20)).clamp(max=1)
@@ -137,16 +137,15 @@ def axes_of(rows: Sequence[Taken], angles: Sequence[float]) -> Tensor:
     theta = torch.atan2(rows[0].wo[:, :2].norm(dim=1), rows[0].wo[:, 2]).double()
     most = torch.stack([row.total.amax() for row in rows]).amax().clamp(min=torch.finfo(torch.float64).tiny)
     shares, bend = [row.shares for row in rows], theta.new_zeros(len(angles), len(theta))
+    mirrors = [mirror(row.wo) for row in rows]
+    rises = [_rise(axis) for axis in mirrors]
     for _ in range(STEPS):
         table, along, up = _table(theta, bend), torch.zeros_like(bend), torch.zeros_like(bend)
-        for i, row in enumerate(rows):
+        for i, (row, axis, rise) in enumerate(zip(rows, mirrors, rises, strict=True)):
             density = _density(lobes.lean(table, row.wo), row.wi, angles)
-            ratio = row.light / (shares[i] @ density).clamp(min=TINY)
             weighted = shares[i] * (row.total / most).float()[..., None]
+            ratio, shares[i] = _step(row.light, shares[i], density)
             moment = (density * (weighted.mT @ ratio)) @ row.wi  # shape: (t, k, 3)
-            shares[i] = shares[i] * (ratio @ density.mT)
-            axis = mirror(row.wo)
-            rise = torch.nn.functional.normalize(axis.new_tensor([0.0, 0.0, 1.0]) - axis * axis[:, 2:], dim=1)
             along += (moment @ axis[..., None])[..., 0].T + PRIOR * weighted.sum((1, 2))
             up += (moment @ rise[..., None])[..., 0].T
         bend = torch.atan2(_smooth(up), _smooth(along).clamp(min=TINY))
@@ -157,7 +156,7 @@ def reflectances(light: Taken, angles: Sequence[float], axes: Tensor) -> Tensor:
     """The fraction (h, k, t), float64, of the light from wo that each lobe reflects; axes (2, k, t) (`lobes.lean`)."""
     density, shares = _density(lobes.lean(axes, light.wo), light.wi, angles), light.shares
     for _ in range(STEPS):
-        shares = shares * ((light.light / (shares @ density).clamp(min=TINY)) @ density.mT)
+        _, shares = _step(light.light, shares, density)
     shares = (shares.double() - LEAST).clamp(min=0)
     shares = shares / shares.sum(-1, keepdim=True).clamp(min=TINY)
     return (shares * light.total[..., None]).permute(1, 2, 0)
@@ -176,6 +175,17 @@ def tables(
     rows = [taken(functions, wo, angles, ARCS[isotropic]) for wo in polar.float()]
     axes = axes_of(rows, angles).float() if axes is None else axes
     return torch.stack([reflectances(row, angles, axes) for row in rows], 2).float(), axes
+
+
+def _step(light: Tensor, shares: Tensor, density: Tensor) -> tuple[Tensor, Tensor]:
+    """Light (t, h, n) over what the mixture shows there, and the next shares (t, h, k)."""
+    ratio = light / (shares @ density).clamp(min=TINY)
+    return ratio, shares * (ratio @ density.mT)
+
+
+def _rise(axis: Tensor) -> Tensor:
+    """Directions (t, 3) at right angles to unit axes (t, 3) that lead to the normal."""
+    return torch.nn.functional.normalize(axis.new_tensor([0.0, 0.0, 1.0]) - axis * axis[:, 2:], dim=1)
 
 
 def _density(axes: Tensor, wi: Tensor, angles: Sequence[float]) -> Tensor:
