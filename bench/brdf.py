@@ -133,7 +133,7 @@ def figure_6(table: Table, light: ptt.Environment, pixels: int, samples: int, pi
     truths = [sphere.truth(space.material(name), light, samples) for name in MATERIALS]
     rows = [[sphere.picture(truth.mean)] for truth in truths]
     gains = [0.4 / float(truth.mean.mean()) for truth in truths]
-    for ranks, counts in (((4, 8, 8), range(5)), ((6, 16, 16), (4,))):
+    for ranks, counts in (((4, 8, 8), range(5)), ((6, 16, 16), (4,)), ((6, 40, 40), (4,))):
         for count in counts:
             fit = ptt.TensorBRDF.fit(space, ranks, separated=count)
             incident, mirrored = sphere.incident(fit, light), sphere.mirrored(fit, light)

@@ -234,9 +234,10 @@ def turns_alike(shape: Shape) -> bool:
 
 def check(name: str, value: Number | Sequence[float], low: float, high: float) -> None:
     """Raises ValueError unless every value is finite and within the bounds."""
-    v = torch.as_tensor(value).detach().double()
+    v = torch.as_tensor(value, dtype=torch.float64).detach()
+    least, most = (float(end) for end in v.aminmax())
     rounded = 1e-6  # float32 may hold a bound a little beside itself
-    if not bool((torch.isfinite(v) & (v >= low * (1 - rounded)) & (v <= high * (1 + rounded))).all()):
+    if not (low * (1 - rounded) <= least and most <= high * (1 + rounded) and math.isfinite(most)):
         bounds = f"at least {low:g}" if high == math.inf else f"in [{low:g}, {high:g}]"
         raise ValueError(f"{name} must be finite and {bounds}, got {v.tolist()}")
 
