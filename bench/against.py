@@ -141,7 +141,7 @@ def caustic(name: str) -> list[dict[str, str]]:
     light = ptt.Environment.area_light((-0.8, 0.75, -0.2), 12.0, 30.0)
     raw = ptt.precompute(scene, 2, progress=True)
     space = ptt.BRDFSpace.blinn_phong()
-    brdf, basis = ptt.TensorBRDF.fit(space, ranks=(4, 24, 24), separated=2), ptt.BRDFBasis.fit(space)
+    brdf, basis = ptt.TensorBRDF.fit(space, ranks=(8, 40, 40), separated=4), ptt.BRDFBasis.fit(space)
     transfer = ptt.assemble(raw, brdf, basis, 96, progress=True)
     model = ptt.cluster(transfer, OWN, progress=True)
     seams(table, scene, light, model, ptt.cluster(transfer, replace(OWN, points=100, eigenvectors=96, columns=4096)))

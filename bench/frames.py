@@ -17,7 +17,8 @@ import ptt
 from bench.table import Table, median_seconds, read_bandwidth, setting
 from ptt import shapes
 from ptt.meshes import Part, join
-from ptt.ops import mesh
+from ptt.models.cluster_steps import PLAIN
+from ptt.ops import mesh, relight
 
 STEPS = count(1)  # no two frames are alike
 GOALS = {"view": 500, "view and BRDF": 200, "view, BRDF and light": 80}  # frames/s at 62 K vertices
@@ -81,6 +82,22 @@ def speed(
                     f"{name}, {key}, {form}, {step}", 1 / seconds, "frames/s", note, goal,
                     paper=f"{said} ({paper[0]})", limit=limit,
                 )  # fmt: skip
+
+
+def fused(
+    table: Table,
+    name: str,
+    scene: ptt.Scene,
+    material: ptt.Material,
+    light: ptt.Environment,
+    model: ptt.TransferModel,
+) -> None:
+    """The plain view step as torch.compile makes it."""
+    relighter = ptt.TransferRelighter(model)
+    relighter.steps._ops = PLAIN._replace(view=relight.compiled(PLAIN.view))
+    frame = steps(relighter, scene, light, material)["view"]
+    how = f"paper settings, lobes included, {material.shape}; {setting()}"
+    table.row(f"{name}, torch.compile, view", 1 / median_seconds(frame, 20), "frames/s", how)
 
 
 def bytes_read(

@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import ptt
 from bench.against import IMAGES, caustic, facing, pictures, right
 from bench.cases import CASES, LIGHTS, OWN, PAPER, Case, blinn_phong_materials
-from bench.frames import against_mitsuba, dressed, exponents, growth, naive, speed, step_times
+from bench.frames import against_mitsuba, dressed, exponents, fused, growth, naive, speed, step_times
 from bench.table import ROOT, Table, setting
 from ptt.meshes import Part
 from ptt.ops import mesh
@@ -81,6 +81,7 @@ def scene_rows(name: str) -> list[dict[str, str]]:
     if name == "suzanne":
         figure_9(table, name, scene, case, lights["uffizi"], transfer)
     if name == "engine":
+        fused(table, name, scene, material, lights["uffizi"], models["paper"])
         naive(table, name, transfer)
         against_mitsuba(table, name, scene, lights["uffizi"])
     return table.rows
@@ -101,6 +102,7 @@ def quick() -> list[dict[str, str]]:
     raw, transfer, models = built(table, "quick", scene, case)
     right(table, "quick", scene, case, lights, raw, transfer, models, vertices=100, samples=256)
     speed(table, "quick", scene, case.materials()["moderate"], ("none", (1, 1, 1)), lights["sky"], models)
+    fused(table, "quick", scene, case.materials()["moderate"], lights["sky"], models["paper"])
     stability(table, "quick", scene, case, lights["sky"], models["own"], transfer)
     return table.rows
 

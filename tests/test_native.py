@@ -20,7 +20,7 @@ from ptt.ops.native import kernels
 from ptt.ops.native.relight import STORED
 from ptt.ops.relight import Arriving, Responses, Sent
 from ptt.ops.sphere import Cube, turn
-from ptt.ops.view import Gloss, Points, Region
+from ptt.ops.view import Gloss, Points, Region, light_about
 
 W, TILTS = 32, 20
 Inputs = tuple[list[Region], Tensor]
@@ -139,6 +139,10 @@ def test_float64_goes_the_plain_way(calls: list[int]) -> None:
     x = double(inputs())
     got = native.view(*x)
     assert calls == [1] and torch.equal(got, plain.view(*x))
+
+
+def test_without_lobes_there_is_no_light_about_them() -> None:
+    assert light_about(torch.zeros(0, 12 * 12, 4), torch.zeros(5, 0, 3)).shape == (5, 0, 3)
 
 
 def test_gradients_pass() -> None:

@@ -120,8 +120,7 @@ def light_about(maps: Tensor, axes: Tensor) -> Tensor:
     n = math.isqrt(cells)
     index, weights = corners(octahedral(axes) * ((n - 2) / n), n, wrap=False)  # shape: (n, k, 4)
     rows = index + cells * torch.arange(k, device=index.device)[:, None]
-    light: Tensor = mix(maps.flatten(0, 1), rows.flatten(0, 1), weights.flatten(0, 1))[:, :3].unflatten(0, (-1, k))
-    return light
+    return mix(maps.flatten(0, 1), rows.flatten(0, 1), weights.flatten(0, 1))[:, :3].reshape(axes.shape)
 
 
 def _through(cuts: Tensor, axes: Tensor, which: Tensor) -> Tensor:
