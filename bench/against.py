@@ -146,7 +146,7 @@ def caustic(name: str) -> list[dict[str, str]]:
     model = ptt.cluster(transfer, OWN, progress=True)
     seams(table, scene, light, model, ptt.cluster(transfer, replace(OWN, points=100, eigenvectors=96, columns=4096)))
     relighters = [ptt.TransferRelighter(without_bounces(model, most)) for most in range(3)]
-    strips = []
+    strips, bounced = [], []
     for kind, material in (("shiny", ptt.blinn_phong(0.1, 0.8, 60.0)), ("dull", ptt.blinn_phong(0.5, 0.1, 4.0))):
         materials = dressed(scene, material)
         radiance = [r(light, materials, camera) for r in relighters]
@@ -157,12 +157,15 @@ def caustic(name: str) -> list[dict[str, str]]:
         points = ptt.reference.at_vertices(scene, light, materials, camera, samples=2048, bounces=1)
         direct = ptt.reference.at_vertices(scene, light, materials, camera, samples=2048)
         own = scene.vertex_region == 1
-        truly, ours = (points.mean - direct.mean)[own], (radiance[1] - radiance[0])[own]
+        bounces = radiance[1] - radiance[0], (points.mean - direct.mean).float()
+        bounced += [ptt.render(scene, camera, bounce).pixels for bounce in bounces]
+        ours, truly = (bounce[own] for bounce in bounces)
         how = "first bounce on the table, all its vertices; light of 12 degrees, lighting of the bounce 6 x 8 x 8"
         table.row(f"caustic, {kind} ring, error", ptt.relative_rmse(ours, truly), "relative RMSE", how)
         peak = float(ours.max()) / float(truly.quantile(0.999))
         table.row(f"caustic, {kind} ring, brightest over the reference's", peak, "", f"{how}; its 99.9 % quantile")
     ptt.Image(torch.cat(strips)).save(IMAGES / "transfer_caustic.png", ptt.Image(strips[0]).exposure() - 1.6)
+    ptt.Image(torch.cat(bounced, 1)).save(IMAGES / "transfer_caustic_bounce.png", ptt.Image(strips[0]).exposure() + 0.4)
     return table.rows
 
 
