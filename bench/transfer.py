@@ -1,6 +1,6 @@
 """Indirect light that follows every edit: every figure of it, as rows of bench/results/transfer.csv.
 
-    PTT_DATA=... python bench/transfer.py                   # about 45 minutes on two cores
+    PTT_DATA=... python bench/transfer.py                   # about 50 minutes on two cores
     PTT_DATA=... python bench/transfer.py --only engine     # or suzanne, dragon, caustic, growth
     python bench/transfer.py --quick                        # under a minute: a ball over a floor alone
 

@@ -20,10 +20,10 @@ from ptt.ops.native import kernels
 from ptt.ops.native.relight import STORED
 from ptt.ops.relight import Arriving, Responses, Sent
 from ptt.ops.sphere import Cube, turn
-from ptt.ops.view import Gloss, Points, Region, light_about
+from ptt.ops.view import Gloss, Points, Seen, light_about
 
 W, TILTS = 32, 20
-Inputs = tuple[list[Region], Tensor]
+Inputs = tuple[list[Seen], Tensor]
 
 
 def inputs(
@@ -43,7 +43,7 @@ def inputs(
     turn, blurs = rotations(1, g)[0].contiguous(), torch.rand(k, s, generator=g)
     gloss = Gloss(which, rho, axes, torch.rand(3, generator=g), maps, turn, blurs) if k else None
     sent = Sent(torch.randn(b, 3, o + s, W, generator=g).half(), torch.rand(b, generator=g))
-    return [Region(points, eye, sent, gloss)], torch.randn(14 * 14, o - 1, generator=g)
+    return [Seen(points, eye, sent, gloss)], torch.randn(14 * 14, o - 1, generator=g)
 
 
 def rotations(n: int, g: torch.Generator) -> Tensor:
@@ -56,13 +56,13 @@ def double(x: Inputs) -> Inputs:
     return [in_double(region) for region in regions], outgoing.double()
 
 
-def in_double(region: Region) -> Region:
+def in_double(region: Seen) -> Seen:
     points, eye, sent, gloss = region
     if gloss is not None:
         gloss = Gloss(*(t.double() if isinstance(t, Tensor) and t.is_floating_point() else t for t in gloss))
     colour = None if points.colour is None else points.colour.double()
     points = points._replace(position=points.position.double(), frame=points.frame.double(), colour=colour)
-    return Region(points, eye.double(), Sent(*(t.double() for t in sent)), gloss)
+    return Seen(points, eye.double(), Sent(*(t.double() for t in sent)), gloss)
 
 
 @pytest.fixture
@@ -128,7 +128,7 @@ def test_a_point_at_the_eye_is_finite(built: None) -> None:
     ],
     ids=["gradient", "strided", "anisotropic"],
 )
-def test_what_the_kernel_is_not_for_goes_the_plain_way(calls: list[int], change: Callable[[Region], Region]) -> None:
+def test_what_the_kernel_is_not_for_goes_the_plain_way(calls: list[int], change: Callable[[Seen], Seen]) -> None:
     (region,), outgoing = inputs()
     x = [region, change(region)], outgoing
     got = native.view(*x)

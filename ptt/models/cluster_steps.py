@@ -18,7 +18,7 @@ from ptt.models.light_maps import LightMaps
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import harmonics, native, relight
 from ptt.ops.relight import Arriving, Responses, Sent
-from ptt.ops.view import Gloss, Points, Region, view
+from ptt.ops.view import Gloss, Points, Seen, view
 
 DULL = 1e-4  # a lobe that reflects no more than this is left out
 
@@ -175,5 +175,5 @@ class ClusterSteps(nn.Module):
             assert position is not None and frame is not None
             points = Points(position, frame, colour, region.cuts, region.place)
             toward = eye if eye.ndim == 1 else region.in_line(eye[first:end])
-            seen.append(Region(points, toward, exitant.sent[r], exitant.gloss[r]))
+            seen.append(Seen(points, toward, exitant.sent[r], exitant.gloss[r]))
         return self._ops.view(seen, outgoing)

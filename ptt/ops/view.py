@@ -63,7 +63,7 @@ class Gloss(NamedTuple):
     blurs: Tensor
 
 
-class Region(NamedTuple):
+class Seen(NamedTuple):
     """What is seen of a region.
 
     points; eye (3,), or unit directions (3, n) to it
@@ -77,12 +77,12 @@ class Region(NamedTuple):
     gloss: Gloss | None
 
 
-def view(regions: Sequence[Region], outgoing: Tensor) -> Tensor:
+def view(regions: Sequence[Seen], outgoing: Tensor) -> Tensor:
     """B (v, c) of the points of all regions; outgoing (cells, o): V without the diffuse factor, on the disk grid."""
-    return torch.cat([_seen(*region, outgoing) for region in regions])
+    return torch.cat([_radiance(*region, outgoing) for region in regions])
 
 
-def _seen(points: Points, eye: Tensor, sent: Sent, gloss: Gloss | None, outgoing: Tensor) -> Tensor:
+def _radiance(points: Points, eye: Tensor, sent: Sent, gloss: Gloss | None, outgoing: Tensor) -> Tensor:
     wo = _toward(points, eye)
     values, o = sent.values.to(outgoing.dtype), 1 + outgoing.shape[1]
     factors = mix(outgoing, *corners(wo.T[:, :2], _side(outgoing), wrap=False))

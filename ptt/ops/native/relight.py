@@ -20,7 +20,7 @@ from ptt.ops.native.arguments import address, ready, side, square
 from ptt.ops.native.kernels import library
 from ptt.ops.octahedral import TILE
 from ptt.ops.relight import Arriving, Responses, Sent
-from ptt.ops.view import Gloss, Region
+from ptt.ops.view import Gloss, Seen
 
 STORED = (torch.float32, torch.float16, torch.bfloat16)
 INDEX = (torch.int64,)
@@ -130,7 +130,7 @@ def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Sent:
     return sent
 
 
-def view(regions: Sequence[Region], outgoing: Tensor) -> Tensor:
+def view(regions: Sequence[Seen], outgoing: Tensor) -> Tensor:
     """B (v, c), as `ptt.ops.view.view`; where a point is at the eye, its lobes are finite."""
     kernels = library() if all(_fits(region, outgoing) for region in regions) else None
     if kernels is None:
@@ -139,11 +139,11 @@ def view(regions: Sequence[Region], outgoing: Tensor) -> Tensor:
     line = outgoing.new_empty(max(region.points.position.shape[1] for region in regions), 3)
     out = outgoing.new_empty(sum(sizes), 3)
     for region, rows in zip(regions, out.split(sizes), strict=True):
-        _view(kernels, region, outgoing, line, rows)
+        _write(kernels, region, outgoing, line, rows)
     return out
 
 
-def _view(kernels: ctypes.CDLL, region: Region, outgoing: Tensor, line: Tensor, out: Tensor) -> None:
+def _write(kernels: ctypes.CDLL, region: Seen, outgoing: Tensor, line: Tensor, out: Tensor) -> None:
     """Of one region into out (v, 3); line (n, 3) is overwritten."""
     points, eye, sent, gloss = region
     b, _, rows, width = sent.values.shape
@@ -161,7 +161,7 @@ def _view(kernels: ctypes.CDLL, region: Region, outgoing: Tensor, line: Tensor, 
     kernels.ptt_view(ctypes.byref(_View(**pointers, **numbers)), 0 if gloss is None else len(gloss.which))
 
 
-def _fits(region: Region, outgoing: Tensor) -> bool:
+def _fits(region: Seen, outgoing: Tensor) -> bool:
     """Whether the kernel of the view step is for a region."""
     points, eye, (values, unit), gloss = region
     colour = () if points.colour is None else (points.colour,)
@@ -188,8 +188,7 @@ def _fits_gloss(gloss: Gloss, cuts: Tensor, n: int, harmonics: int) -> bool:
         return False
     k, tilts = len(which), len(axes)
     shapes = 0 < k <= LOBES and rho.shape == (tilts, k) and axes.shape == (tilts, 2 * k) and specular.shape == (3,)
-    shapes = (
-        shapes and turn.shape == (3, 3) and maps.shape[::2] == (k, 4) and maps.shape[1] > 1 and square(maps.shape[1])
-    )
-    shapes = shapes and (harmonics == 0 or harmonics == HARMONICS == blurs.shape[1]) and len(blurs) == k
+    shapes = shapes and turn.shape == (3, 3) and maps.shape[::2] == (k, 4)
+    shapes = shapes and maps.shape[1] > 1 and square(maps.shape[1]) and len(blurs) == k
+    shapes = shapes and (harmonics == 0 or harmonics == HARMONICS == blurs.shape[1])
     return shapes and cuts.shape[0] == n and square(cuts.shape[1]) and side(cuts.shape[1]) % TILE == 0
