@@ -16,9 +16,9 @@ from bench.cases import OWN, Case
 from bench.frames import dressed
 from bench.table import ROOT, Table
 from bench.uncompressed import Uncompressed
-from ptt.meshes import Part
 from ptt.models.clustered_transfer import WIDTH
 from ptt.ops import mesh
+from ptt.scene.parts import Part
 
 IMAGES = ROOT / "docs" / "images"
 # relative RMSE in total and of the indirect part; paper-16 has the eigenvectors of the paper's Watch scene

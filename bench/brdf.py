@@ -27,11 +27,11 @@ import ptt
 from bench import tucker_peer
 from bench.spheres import Sphere, save_rows
 from bench.table import ROOT, Table, median_seconds, setting
+from ptt.materials.shapes import Shape
 from ptt.models.brdf_basis import principal
 from ptt.models.tensor_brdf import Remainders
 from ptt.ops import lobes, tucker
 from ptt.ops.albedo import albedo
-from ptt.shapes import Shape
 
 IMAGES = ROOT / "docs" / "images"
 INTEGERS = tuple(float(n) for n in range(1, 201))  # the paper's exponents

@@ -28,9 +28,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import ptt
 from bench import mitsuba_check
 from bench.table import ROOT, Table, median_seconds, read_bandwidth, setting
-from ptt.meshes import Part
 from ptt.ops import mesh
 from ptt.ops.sphere import Cube
+from ptt.scene.parts import Part
 
 STEPS = count()  # no two frames are alike
 IMAGES = ROOT / "docs" / "images"
@@ -78,7 +78,7 @@ def furnace(table: Table) -> None:
 
 def against_mitsuba(table: Table, rays: int, samples: int, pictures: bool) -> None:
     """The reference and Mitsuba 3, both with a standard error, along the same rays."""
-    scene = ptt.Scene.default()
+    scene = ptt.default_scene()
     lights = {"constant": ptt.Environment.constant((1.0, 2.0, 0.5)), "smooth": ptt.Environment.gradient_sky()}
     for name, light in lights.items():
         for bounces in (0, 1, 2):
@@ -99,7 +99,7 @@ def against_mitsuba(table: Table, rays: int, samples: int, pictures: bool) -> No
 
 def bunny(table: Table, data: Path, vertices: int, samples: int) -> None:
     """bunny.ply under uffizi.hdr, 6 x 64 x 64: against the reference, and truncated against untruncated."""
-    scene = ptt.Scene.load(data / "meshes" / "bunny.ply")
+    scene = ptt.load_scene(data / "meshes" / "bunny.ply")
     light = ptt.Environment.load(data / "hdri" / "uffizi.hdr")
     seen = torch.nonzero((scene.camera.toward(scene.vertices) * scene.normals).sum(1) > 0)[:, 0]
     order = torch.randperm(len(seen), generator=torch.Generator().manual_seed(0))
@@ -133,7 +133,7 @@ def bunny(table: Table, data: Path, vertices: int, samples: int) -> None:
 
 def moderate() -> ptt.TensorBRDF:
     """Exponents 1..64, without lobes: what every point's own T0 shows."""
-    return ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong(ptt.spaces.MODERATE), ranks=(4, 24, 24), separated=0)
+    return ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong(ptt.materials.spaces.MODERATE), ranks=(4, 24, 24), separated=0)
 
 
 def relit(
@@ -156,7 +156,7 @@ def relit(
 
 def speed(table: Table, data: Path, stride: int) -> None:
     """What each step costs on the bunny, beside the bytes it reads at the measured bandwidth."""
-    scene = ptt.Scene.load(data / "meshes" / "bunny.ply")
+    scene = ptt.load_scene(data / "meshes" / "bunny.ply")
     light = ptt.Environment.load(data / "hdri" / "uffizi.hdr")
     bandwidth, how = read_bandwidth(), setting()
     table.row("read bandwidth", bandwidth / 1e9, "GB/s", f"sum of 400 MB; {how}")

@@ -15,10 +15,10 @@ from torch import Tensor
 
 import ptt
 from bench.table import Table, median_seconds, read_bandwidth, setting
-from ptt import shapes
-from ptt.meshes import Part, join
-from ptt.models.cluster_steps import PLAIN
+from ptt.materials import shapes
 from ptt.ops import mesh, relight
+from ptt.relight.cluster_steps import PLAIN
+from ptt.scene.parts import Part, join
 
 STEPS = count(1)  # no two frames are alike
 GOALS = {"view": 500, "view and BRDF": 200, "view, BRDF and light": 80}  # frames/s at 62 K vertices

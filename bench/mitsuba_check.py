@@ -22,10 +22,10 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from ptt.environment import Environment
-from ptt.materials import Material, lambert
+from ptt.light.environment import Environment
+from ptt.materials.material import Material, lambert
 from ptt.reference import Estimate, along_rays
-from ptt.scene import Scene
+from ptt.scene.scene import Scene
 
 ROUNDING = 1e-4  # of the radiance: what float32 lookups cost at sharp edges of a map, where neither side has an error
 

@@ -68,8 +68,8 @@ def main() -> None:
     scenes = {"sphere": ball}
     if not quick:
         lights = {name: ptt.Environment.load(data / "hdri" / f"{name}.hdr") for name in ("uffizi", "grace")}
-        scenes["dragon"] = ptt.Scene.load(data / "meshes" / "dragon_vrip_res2.ply")
-        scenes["igea"] = ptt.Scene.load(data / "meshes" / "igea.ply")
+        scenes["dragon"] = ptt.load_scene(data / "meshes" / "dragon_vrip_res2.ply")
+        scenes["igea"] = ptt.load_scene(data / "meshes" / "igea.ply")
     light = next(iter(lights.values()))
     table.row("read bandwidth", read_bandwidth() / 1e9, "GB/s", f"sum of 400 MB; {setting()}")
     sizes = (16, 32) if quick else (16, 32, 64, 128)

@@ -11,11 +11,11 @@ from torch.nn.functional import normalize
 
 import ptt
 from ptt import reference
-from ptt.meshes import Part
-from ptt.models import light_maps
+from ptt.light import prefiltered as light_maps
 from ptt.ops import lobes, mesh, transfer
 from ptt.ops.sphere import Cube
 from ptt.ops.view import light_about
+from ptt.scene.parts import Part
 
 GRID = Cube(64)
 

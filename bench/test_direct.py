@@ -24,12 +24,12 @@ DIRECTIONS = GRID.directions().reshape(-1, 3)
 
 @pytest.fixture(scope="module")
 def scene() -> ptt.Scene:
-    return ptt.Scene.default()
+    return ptt.default_scene()
 
 
 @pytest.fixture(scope="module")
 def brdf() -> ptt.TensorBRDF:
-    return ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong(ptt.spaces.MODERATE), ranks=(4, 24, 24), separated=0)
+    return ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong(ptt.materials.spaces.MODERATE), ranks=(4, 24, 24), separated=0)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import torch
 import ptt
 from bench.frames import balls, dressed, steps
 from bench.table import setting
-from ptt.assembly import Transfer
+from ptt.transfer.assembly import Transfer
 
 LIGHT = ptt.Environment.sun_sky(radius=10.0)
 MATERIAL = ptt.blinn_phong(0.3, 0.4, 12.0)

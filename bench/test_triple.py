@@ -15,9 +15,9 @@ import torch
 import ptt
 from bench.table import setting
 from bench.triple import on_floor
-from ptt.models.triple_relighter import Storage
 from ptt.ops import geodesic, haar, mesh, native, shade, triple
 from ptt.ops.geodesic import Geodesic
+from ptt.relight.triple_relighter import Storage
 
 SKY = ptt.Environment.sun_sky(radius=10.0)
 GIVEN = {"body": ptt.blinn_phong(0.3, 0.4, 30.0), "floor": ptt.lambert(0.5)}

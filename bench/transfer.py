@@ -33,8 +33,8 @@ from bench.against import IMAGES, caustic, facing, pictures, right
 from bench.cases import CASES, LIGHTS, OWN, PAPER, Case, blinn_phong_materials
 from bench.frames import against_mitsuba, dressed, exponents, fused, growth, naive, speed, step_times
 from bench.table import ROOT, Table, setting
-from ptt.meshes import Part
 from ptt.ops import mesh
+from ptt.scene.parts import Part
 
 CONFIGS = ROOT / "scripts" / "configs"
 
@@ -69,7 +69,7 @@ def scene_rows(name: str) -> list[dict[str, str]]:
     """All rows of one scene."""
     warnings.simplefilter("ignore")
     table, case = Table("transfer"), CASES[name]
-    scene = ptt.Scene.load(CONFIGS / f"{name}.toml")
+    scene = ptt.load_scene(CONFIGS / f"{name}.toml")
     data = Path(os.environ["PTT_DATA"]) / "hdri"
     lights = {key: ptt.Environment.load(data / file) for key, file in LIGHTS.items()}
     raw, transfer, models = built(table, name, scene, case)

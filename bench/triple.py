@@ -28,12 +28,12 @@ import ptt
 from bench import triple_pictures
 from bench.table import Table, median_seconds, read_bandwidth, setting
 from ptt import reference
-from ptt.meshes import Part
 from ptt.models.cache import Cache
-from ptt.models.triple_relighter import Storage
 from ptt.ops import geodesic, haar, local, mesh, native, triple
 from ptt.ops.geodesic import Geodesic
 from ptt.ops.shade import Functions, Points
+from ptt.relight.triple_relighter import Storage
+from ptt.scene.parts import Part
 
 PAPER = {("texture", 1): "97 (25 K), 44 to 47 (50 K)", ("texture", 2): "38 (25 K), 17 to 18 (50 K)"}
 PAPER |= {("vertices", 1): "21 (25 K), 15 (50 K)", ("vertices", 2): "8.5 (25 K), 7 (50 K)"}
@@ -56,7 +56,7 @@ def main() -> None:
     lights = {"hard shadows": ptt.Environment.area_light((0.4, 0.8, 0.3), 8.0, 40.0)}
     if not quick:
         read = {"dragon": "dragon_vrip_res3.ply", "igea": "igea.ply"}
-        loaded = {name: ptt.Scene.load(data / "meshes" / file) for name, file in read.items()}
+        loaded = {name: ptt.load_scene(data / "meshes" / file) for name, file in read.items()}
         scenes = {name: on_floor(scene.vertices, scene.faces, 100) for name, scene in loaded.items()}
         lights |= {name: ptt.Environment.load(data / "hdri" / f"{name}.hdr") for name in ("grace", "uffizi")}
     bandwidth, peak = read_bandwidth(), products_per_second()

@@ -13,10 +13,10 @@ from torch import Tensor
 import ptt
 from bench.table import ROOT, Table
 from ptt import reference
-from ptt.meshes import Part
 from ptt.ops import geodesic, haar, local, mesh, native, rotation, triple
 from ptt.ops.geodesic import Geodesic
 from ptt.ops.octahedral import Octahedral
+from ptt.scene.parts import Part
 
 IMAGES = ROOT / "docs" / "images"
 SIZE = {"width": 256, "height": 192}
@@ -29,8 +29,8 @@ Materials = Mapping[str, ptt.Material | ptt.Mixed]
 def all_figures(table: Table, data: Path) -> None:
     """Every figure, and the error of each picture as a row."""
     maps = {name: ptt.Environment.load(data / "hdri" / f"{name}.hdr") for name in ("grace", "uffizi")}
-    dragon = ptt.Scene.load(data / "meshes" / "dragon_vrip_res3.ply")
-    coarse = ptt.Scene.load(data / "meshes" / "dragon_vrip_res4.ply")
+    dragon = ptt.load_scene(data / "meshes" / "dragon_vrip_res3.ply")
+    coarse = ptt.load_scene(data / "meshes" / "dragon_vrip_res4.ply")
     figure_5(table, on_table(coarse, 60), maps["grace"])
     figure_6(table)
     figure_7(table, maps["grace"])
@@ -66,7 +66,7 @@ def truth(scene: ptt.Scene, light: ptt.Environment, given: Materials, pixels: pt
     for name, m in given.items():
         rows = (pixels.region == scene.region_index(name)).nonzero()[:, 0]
         if isinstance(m, ptt.Mixed):
-            share[rows] = m.at(scene, pixels.triangle[rows], pixels.barycentric[rows])
+            share[rows] = scene.share_at(m.share, pixels.triangle[rows], pixels.barycentric[rows])
     return parts[0] + share[:, None] * (parts[1] - parts[0])
 
 

@@ -1,6 +1,6 @@
 """Precomputed-transfer relighting on torch.
 
-scene = ptt.Scene.load("watch.toml")
+scene = ptt.load_scene("watch.toml")
 model = ptt.compress(ptt.precompute(scene))
 relighter = ptt.TransferRelighter(model)
 radiance = relighter(ptt.Environment.load("uffizi.hdr"), scene.materials, scene.camera)
@@ -8,31 +8,34 @@ ptt.render(scene, scene.camera, radiance).save("watch.png")
 """
 
 from ptt import reference
-from ptt.assembly import assemble
-from ptt.atlas import Atlas
-from ptt.bumps import BumpMap
-from ptt.clustering import Clusters, cluster
-from ptt.compress import compress
-from ptt.environment import Environment
-from ptt.gbuffer import GBuffer
-from ptt.hidden import without_hidden
-from ptt.materials import Material, Mixed, blinn_phong, cook_torrance, ggx, lambert, ward
-from ptt.measured import MERL, NeuralBRDF
-from ptt.metrics import relative_rmse
+from ptt.imaging.atlas import Atlas
+from ptt.imaging.bumps import BumpMap
+from ptt.imaging.gbuffer import GBuffer
+from ptt.imaging.image import Image, render
+from ptt.imaging.metrics import relative_rmse
+from ptt.light.environment import Environment
+from ptt.materials.material import Material, Mixed, blinn_phong, cook_torrance, ggx, lambert, ward
+from ptt.materials.measured import MERL, NeuralBRDF
+from ptt.materials.shapes import GGX, Blend, BlinnPhong, CookTorrance, Named, Ward
+from ptt.materials.spaces import BRDFSpace, fitted
+from ptt.materials.tabulation import separate, tabulated
 from ptt.models.brdf_basis import BRDFBasis
-from ptt.models.envmap_relighter import EnvMapRelighter
 from ptt.models.light_rotation import LightRotation
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.models.transfer_model import TransferModel
-from ptt.models.transfer_relighter import TransferRelighter
-from ptt.models.triple_relighter import TripleProductRelighter
-from ptt.occlusion import ambient_occlusion
-from ptt.precompute import RawTransfer, precompute
-from ptt.render import Image, render
-from ptt.scene import Camera, Region, Scene
-from ptt.shapes import GGX, Blend, BlinnPhong, CookTorrance, Named, Ward
-from ptt.spaces import BRDFSpace, fitted
-from ptt.tabulated import separate, tabulated
+from ptt.relight.envmap_relighter import EnvMapRelighter
+from ptt.relight.transfer_relighter import TransferRelighter
+from ptt.relight.triple_relighter import TripleProductRelighter
+from ptt.scene.camera import Camera
+from ptt.scene.default import default_scene
+from ptt.scene.hidden import without_hidden
+from ptt.scene.scene import Region, Scene
+from ptt.scene.scene_files import load_scene
+from ptt.transfer.assembly import assemble
+from ptt.transfer.clustering import Clusters, cluster
+from ptt.transfer.compression import compress
+from ptt.transfer.occlusion import ambient_occlusion
+from ptt.transfer.raw import RawTransfer, precompute
 
 __all__ = [
     "GGX",
@@ -69,9 +72,11 @@ __all__ = [
     "cluster",
     "compress",
     "cook_torrance",
+    "default_scene",
     "fitted",
     "ggx",
     "lambert",
+    "load_scene",
     "precompute",
     "reference",
     "relative_rmse",

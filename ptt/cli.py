@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import tyro
 
-from ptt.environment import Environment
-from ptt.materials import Material
-from ptt.scene import Scene
-from ptt.shapes import GGX, BlinnPhong, CookTorrance, Ward
-from ptt.spaces import BRDFSpace
+from ptt.light.environment import Environment
+from ptt.materials.material import Material
+from ptt.materials.shapes import GGX, BlinnPhong, CookTorrance, Ward
+from ptt.materials.spaces import BRDFSpace
+from ptt.scene.default import default_scene
+from ptt.scene.scene import Scene
+from ptt.scene.scene_files import load_scene
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -55,12 +57,12 @@ def configure(cls: type[Config], doc: str) -> Config:
     return config
 
 
-def load_scene(name: str) -> Scene:
+def chosen_scene(name: str) -> Scene:
     """The scene in a file, or the one made in code for "default"."""
-    return Scene.default() if name == "default" else Scene.load(name)
+    return default_scene() if name == "default" else load_scene(name)
 
 
-def load_light(name: str, scene: Scene) -> Environment:
+def chosen_light(name: str, scene: Scene) -> Environment:
     """The map in a file; "scene" is the scene's own, "sky" and "constant" are made in code.
 
     Raises:
@@ -77,7 +79,7 @@ def load_light(name: str, scene: Scene) -> Environment:
     return light
 
 
-def load_space(name: Space, materials: Mapping[str, Material]) -> BRDFSpace:
+def chosen_space(name: Space, materials: Mapping[str, Material]) -> BRDFSpace:
     """The space of that name; "auto" is the one of the shapes that the materials have, Blinn-Phong for none.
 
     Raises:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import ptt
-from ptt.cli import Space, configure, load_space, run, save_config
+from ptt.cli import Space, chosen_space, configure, run, save_config
 
 
 @dataclass
@@ -52,7 +52,7 @@ def main() -> None:
     config = configure(Config, __doc__ or "")
     clusters = ptt.Clusters(config.points, config.eigenvectors, config.lighting, bytes=config.bytes, error=config.error)
     raw = ptt.RawTransfer.load(config.raw)
-    space = load_space(config.space, raw.receivers.materials)
+    space = chosen_space(config.space, raw.receivers.materials)
 
     start = time.perf_counter()
     brdf = ptt.TensorBRDF.fit(space, ranks=config.ranks, separated=config.lobes)

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import ptt
-from ptt.cli import configure, load_light, load_scene, run
+from ptt.cli import chosen_light, chosen_scene, configure, run
 
 
 @dataclass
@@ -39,8 +39,8 @@ class Config:
 def main() -> None:
     config = configure(Config, __doc__ or "")
     model = ptt.TransferModel.load(config.model)
-    scene = load_scene(config.scene)
-    light = load_light(config.environment, scene).rotated(y=config.rotate)
+    scene = chosen_scene(config.scene)
+    light = chosen_light(config.environment, scene).rotated(y=config.rotate)
     relighter = ptt.TransferRelighter(model)
 
     start = time.perf_counter()

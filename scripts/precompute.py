@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import ptt
-from ptt.cli import configure, load_scene, run, save_config
+from ptt.cli import chosen_scene, configure, run, save_config
 
 
 @dataclass
@@ -37,7 +37,7 @@ class Config:
 
 def main() -> None:
     config = configure(Config, __doc__ or "")
-    scene = load_scene(config.scene)
+    scene = chosen_scene(config.scene)
     counts = region_counts(scene)
     print(f"{len(scene.vertices)} vertices, {len(scene.faces)} triangles; {counts}")
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import torch
 
 import ptt
-from ptt.cli import configure, load_light, load_scene, load_space, run
+from ptt.cli import chosen_light, chosen_scene, chosen_space, configure, run
 
 
 @dataclass
@@ -64,8 +64,8 @@ class Config:
 
 def main() -> None:
     config = configure(Config, __doc__ or "")
-    scene = load_scene(config.scene)
-    light = load_light(config.environment, scene)
+    scene = chosen_scene(config.scene)
+    light = chosen_light(config.environment, scene)
     camera = replace(scene.camera, width=config.width, height=config.height)
 
     # what is edited
@@ -78,7 +78,7 @@ def main() -> None:
 
     # trace and compress, or load
     if config.model is None:
-        space = load_space("auto", scene.materials | {region: edited})
+        space = chosen_space("auto", scene.materials | {region: edited})
         space.coordinates(shape)
         raw = ptt.precompute(scene, config.bounces, rays=config.rays, progress=True)
         brdf = ptt.TensorBRDF.fit(space, ranks=(4, 16, 16), separated=3)

@@ -25,8 +25,8 @@ def data_dir() -> Path:
 @pytest.fixture(scope="session")
 def small_scene() -> ptt.Scene:
     """A ball over a floor: 367 vertices, two regions, the floor fixed."""
-    from ptt.meshes import Part
     from ptt.ops import mesh
+    from ptt.scene.parts import Part
 
     ball, faces = mesh.sphere_mesh(2, 0.5)
     parts = [
@@ -46,7 +46,7 @@ def small_model(small_raw: ptt.RawTransfer) -> ptt.TransferModel:
     return ptt.compress(
         small_raw,
         64,
-        ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong(ptt.spaces.MODERATE), ranks=(3, 10, 10), separated=0),
+        ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong(ptt.materials.spaces.MODERATE), ranks=(3, 10, 10), separated=0),
         clusters=None,
     )
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import ptt
-from ptt.cli import load_space
-from ptt.io import read_image
+from ptt.cli import chosen_space
+from ptt.io.images import read_image
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 SCENE = """
@@ -140,21 +140,21 @@ def test_the_space_of_a_scene() -> None:
         (ptt.ward(), "ward"),
         (ptt.ggx(), "ggx"),
     ):
-        space = load_space("auto", {"floor": ptt.lambert(), "ball": material})
+        space = chosen_space("auto", {"floor": ptt.lambert(), "ball": material})
         assert {shape.model for shape in space.samples} == {model}
         assert material.shape is None or len(space.coordinates(material.shape)) == len(space.samples)
     with pytest.raises(
         ValueError, match=r"one model of .*; the scene has floor blinn-phong, ball cook-torrance: change"
     ):
-        load_space("auto", {"floor": glossy, "wall": ptt.lambert(), "ball": metal})
-    assert load_space("ggx", {"floor": glossy, "ball": metal}).samples[0].model == "ggx"
+        chosen_space("auto", {"floor": glossy, "wall": ptt.lambert(), "ball": metal})
+    assert chosen_space("ggx", {"floor": glossy, "ball": metal}).samples[0].model == "ggx"
 
 
 @pytest.mark.parametrize("name", ["bunny", "suzanne", "dragon", "engine"])
 def test_the_scenes_have_a_space(name: str, data_dir: Path) -> None:
     """Every material of the scenes in scripts/configs lies in the space that "auto" finds."""
-    materials = ptt.Scene.load(SCRIPTS / "configs" / f"{name}.toml").materials
-    space = load_space("auto", materials)
+    materials = ptt.load_scene(SCRIPTS / "configs" / f"{name}.toml").materials
+    space = chosen_space("auto", materials)
     for material in materials.values():
         if material.shape is not None:
             space.coordinates(material.shape)

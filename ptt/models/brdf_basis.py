@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from ptt.materials import Material
+from ptt.materials.material import Material
+from ptt.materials.shapes import Shape
+from ptt.materials.spaces import BRDF, BRDFSpace
 from ptt.ops import brdf
 from ptt.ops.albedo import gauss_legendre, nodes
-from ptt.shapes import Shape
-from ptt.spaces import BRDF, BRDFSpace
 
 FUNCTIONS = 4
 ENERGY = 4.0  # how much more than its shape an albedo counts

@@ -16,10 +16,10 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from ptt.io.saved import Shapes
 from ptt.models.indirect import ORDER
 from ptt.ops.memory import in_large_pages
 from ptt.ops.octahedral import Octahedral, tiles
-from ptt.saved import Shapes
 
 WIDTH = 128  # points in a block
 FACING = 16  # cells along an edge of the map of normals by which points are ordered

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from ptt import saved
+from ptt.io import saved
 from ptt.models.cache import Cache, watched
 from ptt.ops import native, rotation
 from ptt.ops.octahedral import HemiOctahedral, Octahedral

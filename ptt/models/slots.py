@@ -13,9 +13,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ptt.materials import Material
+from ptt.materials.material import Material
 from ptt.models.brdf_basis import BRDFBasis
-from ptt.receivers import Receivers
+from ptt.models.receivers import Receivers
 
 OWN = -1  # the function of a fixed region's own shape
 

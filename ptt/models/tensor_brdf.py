@@ -9,11 +9,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from ptt.materials import Material
+from ptt.materials.material import Material
+from ptt.materials.shapes import Shape
+from ptt.materials.spaces import BRDF, BRDFSpace
 from ptt.ops import lobes, separation, transfer, tucker
 from ptt.ops.sphere import Disk
-from ptt.shapes import Shape
-from ptt.spaces import BRDF, BRDFSpace
 
 RESOLUTION = 32  # texels across the disk; 48 lower the error of exponent 20 from 7.9 to 7.7 %
 TRIAL = 16  # texels across the disk on which the number of lobes is decided

@@ -10,15 +10,15 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from ptt import saved
+from ptt.io import saved
+from ptt.materials.spaces import BRDFSpace
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.clustered_transfer import ClusteredTransfer
+from ptt.models.receivers import Receivers
 from ptt.models.slots import Slot, slots_of
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.ops.haar import Truncated
 from ptt.ops.sphere import Cube
-from ptt.receivers import Receivers
-from ptt.spaces import BRDFSpace
 
 KIND = "transfer model"
 

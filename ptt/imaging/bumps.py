@@ -1,0 +1,90 @@
+"""Bump maps: normals in the frame of the surface, by its texture coordinates, for shading per pixel."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from os import PathLike
+
+import torch
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from ptt.io.images import read_image, to_srgb
+from ptt.ops import mesh
+from ptt.scene.scene import Scene
+
+LOWEST = 0.05  # of a normal's height above the surface
+
+
+@dataclass(frozen=True, eq=False)
+class BumpMap:
+    """A tangent-space normal map (Ma et al. 2006, section 4.2).
+
+    normals (h, w, 3): x along increasing u, y along increasing v, z out of the surface; any length but 0; row 0 on top
+
+    Normals lower than 3 degrees above the surface are raised to that; a warning counts them.
+
+    Raises:
+        ValueError: normals have another shape, are zero or not finite.
+    """
+
+    normals: Tensor
+
+    def __post_init__(self) -> None:
+        n = torch.as_tensor(self.normals, dtype=torch.float32)
+        if n.ndim != 3 or n.shape[2] != 3 or not n.numel():
+            raise ValueError(f"normals must be (h, w, 3), got {tuple(n.shape)}")
+        length = n.norm(dim=2)
+        if bad := int((~(length > 0) | ~length.isfinite()).sum()):
+            raise ValueError(f"normals must be finite and not zero: {bad} of {length.numel()} are not")
+        n = normalize(n, dim=2)
+        below = n[..., 2:] < LOWEST
+        if count := int(below.sum()):
+            warnings.warn(f"{count} of {below.numel()} normals lie below the surface, and are raised", stacklevel=3)
+            level = normalize(n[..., :2], dim=2) * math.sqrt(1 - LOWEST**2)
+            n = torch.where(below, torch.cat((level, torch.full_like(n[..., 2:], LOWEST)), 2), n)
+            n[(n[..., :2] == 0).all(2)] = n.new_tensor([0.0, 0.0, 1.0])
+        object.__setattr__(self, "normals", n)
+
+    @classmethod
+    def of_heights(cls, heights: Tensor, depth: float = 1.0) -> BumpMap:
+        """The normals of a height field (h, w) that repeats, row 0 on top.
+
+        depth: of a height of 1, in widths of the texture
+        """
+        if heights.ndim != 2 or not heights.numel():
+            raise ValueError(f"heights must be (h, w), got {tuple(heights.shape)}")
+        rows, columns = heights.shape
+        du = (heights.roll(-1, 1) - heights.roll(1, 1)) * (depth * columns / 2)
+        dv = (heights.roll(1, 0) - heights.roll(-1, 0)) * (depth * rows / 2)
+        return cls(torch.stack((-du, -dv, torch.ones_like(heights)), 2))
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> BumpMap:
+        """A normal map as a .png, normals = 2 rgb - 1, y up (OpenGL's convention)."""
+        return cls(2 * to_srgb(read_image(path)) - 1)
+
+    def bent(self, frames: Tensor, uv: Tensor) -> Tensor:
+        """Frames (p, 3, 3) of points at uv (p, 2), turned to the map's normals."""
+        local = mesh.sample_texture(self.normals, uv).to(frames)
+        normal = torch.einsum("pa,pax->px", local, frames)
+        return mesh.frames(normal, frames[:, 0], lambda rows: frames[rows, 2])[0]
+
+
+def bent(scene: Scene, bumps: Mapping[str, BumpMap], frames: Tensor, uv: Tensor | None, region: Tensor) -> Tensor:
+    """Frames (p, 3, 3) with the bump maps of their regions.
+
+    Raises:
+        ValueError: an unknown region, or a scene without uv.
+    """
+    for name, bump in bumps.items():
+        rows = (region == scene.region_index(name)).nonzero()[:, 0]
+        if uv is None:
+            raise ValueError(
+                f"the bump map of {name!r} needs uv: give its part uv (v, 2), or a mesh file that has them"
+            )
+        frames = frames.index_copy(0, rows, bump.bent(frames[rows], uv[rows]))
+    return frames

@@ -1,0 +1,84 @@
+"""G-buffer: the points that a camera sees, one for each pixel, for shading per pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from ptt.imaging.bumps import BumpMap, bent
+from ptt.imaging.image import Image
+from ptt.light.environment import Environment
+from ptt.scene.camera import Camera
+from ptt.scene.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class GBuffer:
+    """Of p pixels that see a front face, row by row: traced once for a view, shaded as often as one likes.
+
+    camera: that sees them
+    pixel (p,): row * width + column
+    triangle (p,), barycentric (p, 3): where on the mesh
+    positions (p, 3), frames (p, 3, 3): rows tangent, bitangent, normal; interpolated, orthonormal, bent by bump maps
+    colours (p, 3): linear base colour, from the texture where there is one
+    region (p,): index into `Scene.regions`
+    uv (p, 2): texture coordinates; None where the scene has none
+    missed (height * width,) bool: pixels that see nothing; those that see a back face are black
+    """
+
+    camera: Camera
+    pixel: Tensor
+    triangle: Tensor
+    barycentric: Tensor
+    positions: Tensor
+    frames: Tensor
+    colours: Tensor
+    region: Tensor
+    uv: Tensor | None
+    missed: Tensor
+
+    @classmethod
+    def of(cls, scene: Scene, camera: Camera, bumps: Mapping[str, BumpMap] | None = None) -> GBuffer:
+        """Trace the rays through the pixels' centres.
+
+        bumps: by region, that bend its frames; light and BRDFs follow them, visibility does not, as in the paper
+
+        A frame whose tangent is parallel to its normal gets another tangent; a warning counts them.
+
+        Raises:
+            ValueError: bump maps of an unknown region, or for a scene without uv.
+        """
+        eye, directions = camera.rays()
+        hits = scene.surface.first_hit(eye.expand(camera.width * camera.height, 3), directions.reshape(-1, 3))
+        pixel = hits.front.nonzero()[:, 0]
+        triangle, barycentric = hits.triangle[pixel], hits.barycentric[pixel]
+
+        def mixed(values: Tensor) -> Tensor:
+            return scene.interpolated(values, triangle, barycentric)
+
+        region, uv = scene.face_region[triangle], None if scene.uv is None else mixed(scene.uv)
+        frames = bent(scene, bumps or {}, scene.frames_at(triangle, barycentric), uv, region)
+        colours = scene.albedo(triangle, barycentric)
+        missed = hits.triangle < 0
+        return cls(camera, pixel, triangle, barycentric, mixed(scene.vertices), frames, colours, region, uv, missed)
+
+    def interpolated(self, scene: Scene, values: Tensor) -> Tensor:
+        """Values (p, ...) of those at the scene's vertices (v, ...)."""
+        return scene.interpolated(values, self.triangle, self.barycentric)
+
+    def image(self, radiance: Tensor, environment: Environment | None = None) -> Image:
+        """The picture of radiance (p, 3), the environment behind it; black without one.
+
+        Raises:
+            ValueError: radiance is not finite (p, 3).
+        """
+        if radiance.shape != self.positions.shape or not bool(radiance.isfinite().all()):
+            raise ValueError(f"radiance must be finite, {tuple(self.positions.shape)}, got {tuple(radiance.shape)}")
+        pixels = radiance.new_zeros(len(self.missed), 3)
+        if environment is not None:
+            directions = self.camera.rays()[1].reshape(-1, 3)
+            pixels[self.missed] = environment.radiance(directions[self.missed]).to(radiance)
+        pixels[self.pixel] = radiance
+        return Image(pixels.reshape(self.camera.height, self.camera.width, 3))

@@ -1,0 +1,73 @@
+"""Radiance at points -> image: primary rays by embree, vertex radiance interpolated in each triangle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from os import PathLike
+
+import torch
+from torch import Tensor
+
+from ptt.io.images import write_image
+from ptt.light.environment import Environment
+from ptt.scene.camera import Camera
+from ptt.scene.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """A picture in linear RGB: pixels (height, width, 3), row 0 on top."""
+
+    pixels: Tensor
+
+    def exposure(self) -> float:
+        """Stops for `save` that bring the brightest twentieth of the picture to white; 0 for a black picture."""
+        luminance = self.pixels.reshape(-1, 3) @ self.pixels.new_tensor([0.2126, 0.7152, 0.0722])
+        rank = max(1, int(0.95 * len(luminance)))
+        bright = float(luminance.kthvalue(rank).values)
+        return -math.log2(bright) if bright > 0 else 0.0
+
+    def save(self, path: str | PathLike[str], exposure: float = 0.0) -> None:
+        """Write .exr or .hdr (linear) or .png (sRGB, clipped), brightened by `exposure` stops.
+
+        Raises:
+            ValueError: another ending, or the file cannot be written.
+        """
+        write_image(path, self.pixels * 2.0**exposure)
+
+
+def render(
+    scene: Scene, camera: Camera, radiance: Tensor, environment: Environment | None = None, antialias: int = 2
+) -> Image:
+    """The picture that a camera sees of vertex radiance (v, 3).
+
+    environment: the background; black without one
+    antialias: rays along each side of a pixel; 1 for its centre alone
+
+    Back faces are black: surfaces are one-sided.
+
+    Raises:
+        ValueError: radiance is not (v, 3) for the scene's vertices or not finite, or antialias < 1.
+    """
+    if radiance.shape != scene.vertices.shape or not bool(torch.isfinite(radiance).all()):
+        raise ValueError(f"radiance must be finite, {tuple(scene.vertices.shape)}, got {tuple(radiance.shape)}")
+    if antialias < 1:
+        raise ValueError(f"antialias must be at least 1, got {antialias}")
+    height, width = camera.height, camera.width
+    eye, directions = replace(camera, width=width * antialias, height=height * antialias).rays()
+    rows = [
+        _trace(scene, eye, part.flatten(0, 1), radiance, environment).reshape(-1, antialias, width, antialias, 3)
+        for part in directions.split(antialias * max(1, (1 << 20) // (width * antialias**2)))
+    ]
+    return Image(torch.cat(rows).mean((1, 3)))
+
+
+def _trace(scene: Scene, eye: Tensor, directions: Tensor, radiance: Tensor, environment: Environment | None) -> Tensor:
+    hits = scene.surface.first_hit(eye.expand_as(directions), directions)
+    corners = scene.faces[hits.triangle.clamp(min=0)]
+    surface = torch.einsum("nkc,nk->nc", radiance.cpu()[corners], hits.barycentric * hits.front[:, None])
+    if environment is None:
+        return surface
+    missed = (hits.triangle < 0)[:, None]
+    return torch.where(missed, environment.radiance(directions), surface)

@@ -1,0 +1,1 @@
+"""Materials: shapes of BRDFs and the spaces between them; analytic, measured and tabulated."""

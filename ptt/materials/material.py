@@ -1,0 +1,166 @@
+"""Materials: a diffuse and a specular colour around a monochrome shape."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, overload
+
+import torch
+from torch import Tensor
+
+from ptt.materials import shapes
+from ptt.materials.shapes import GGX, BlinnPhong, CookTorrance, Number, Shape, Ward, check
+from ptt.ops import brdf
+
+Colour = float | Sequence[float] | Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """f(wi, wo) = diffuse / pi + specular * shape(wi, wo), in 1/sr, per colour.
+
+    diffuse (3,): albedo, 0..1, multiplied by the base colour of the surface
+    specular (3,): weight of the shape, >= 0
+    shape: one of `ptt.materials.shapes`, or None for a Lambertian surface
+
+    Numbers stand for grey. Tensors that require gradients are kept, so a loss on the radiance reaches them.
+
+    Raises:
+        ValueError: a weight is out of its range, or specular is given without a shape.
+    """
+
+    diffuse: Tensor
+    specular: Tensor
+    shape: Shape | None = None
+
+    def __init__(self, diffuse: Colour = 0.5, specular: Colour = 0.0, shape: Shape | None = None) -> None:
+        object.__setattr__(self, "diffuse", _colour("diffuse", diffuse, 1.0))
+        object.__setattr__(self, "specular", _colour("specular", specular, math.inf))
+        object.__setattr__(self, "shape", shape)
+        if shape is None and bool((self.specular > 0).any()):
+            raise ValueError("specular > 0 needs a shape, such as BlinnPhong(exponent) or GGX(f0, roughness)")
+
+    def evaluate(self, wi: Tensor, wo: Tensor, colour: Tensor | None = None) -> Tensor:
+        """The BRDF (..., 3) [1/sr] for local unit directions (..., 3); colour (..., 3) multiplies the diffuse part."""
+        diffuse = self.diffuse if colour is None else self.diffuse * colour
+        value = brdf.lambert(wi, wo)[..., None] * diffuse.to(wi)
+        if self.shape is not None:
+            value = value + self.shape.evaluate(wi, wo)[..., None] * self.specular.to(wi)
+        return value
+
+
+@dataclass(frozen=True, eq=False)
+class Mixed:
+    """Two materials on one surface, (1 - share) first + share second, for shading per pixel (Ma et al. 2006, 4.2).
+
+    share: 0..1; (h, w), a texture by the scene's uv, or (v,), of the scene's vertices and interpolated
+
+    Raises:
+        ValueError: share has another shape or is out of its range.
+    """
+
+    first: Material
+    second: Material
+    share: Tensor
+
+    def __post_init__(self) -> None:
+        if self.share.ndim not in (1, 2) or not self.share.numel():
+            raise ValueError(f"share must be a texture (h, w) or of the vertices (v,), got {tuple(self.share.shape)}")
+        check("share", self.share, 0.0, 1.0)
+
+
+def lambert(diffuse: Colour = 0.5) -> Material:
+    """A matt material of the given albedo."""
+    return Material(diffuse)
+
+
+def blinn_phong(diffuse: Colour = 0.5, specular: Colour = 0.5, exponent: Number = 20.0) -> Material:
+    """A glossy material; exponent 1 is nearly matt, 200 a clear highlight."""
+    return Material(diffuse, specular, BlinnPhong(exponent))
+
+
+def cook_torrance(diffuse: Colour = 0.5, specular: Colour = 0.5, f0: Number = 0.1, m: Number = 0.2) -> Material:
+    """A microfacet material in the convention of Ngan et al. 2005."""
+    return Material(diffuse, specular, CookTorrance(f0, m))
+
+
+def ward(diffuse: Colour = 0.5, specular: Colour = 0.3, ax: Number = 0.2, ay: Number | None = None) -> Material:
+    """Ward's model; with ay unlike ax an anisotropic one, brushed along the tangent if ax is the larger."""
+    return Material(diffuse, specular, Ward(ax, ay))
+
+
+def ggx(diffuse: Colour = 0.5, specular: Colour = 1.0, f0: Number = 0.04, roughness: Number = 0.5) -> Material:
+    """Today's microfacet model: a dielectric with specular 1 and f0 0.04, a metal with diffuse 0 and f0 near 1."""
+    return Material(diffuse, specular, GGX(f0, roughness))
+
+
+@overload
+def dressed(own: Mapping[str, Material], given: Mapping[str, Material]) -> dict[str, Material]: ...
+@overload
+def dressed(
+    own: Mapping[str, Material], given: Mapping[str, Material | Mixed], mixed: Literal[True]
+) -> dict[str, Material | Mixed]: ...
+def dressed(own: Mapping[str, Any], given: Mapping[str, Any], mixed: bool = False) -> dict[str, Any]:
+    """The materials of every region, in their order: the given ones, else its own.
+
+    mixed: whether a region may have two
+
+    Raises:
+        ValueError: a region that there is not, or what is no material.
+    """
+    kinds = (Material, Mixed) if mixed else (Material,)
+    if unknown := [name for name in given if name not in own]:
+        raise ValueError(f"no region {', '.join(unknown)}; there are {', '.join(own)}")
+    if wrong := [name for name, material in given.items() if not isinstance(material, kinds)]:
+        expected = " or ".join(f"ptt.{kind.__name__}" for kind in kinds)
+        raise ValueError(f"materials must map regions to {expected}, got {type(given[wrong[0]]).__name__}")
+    return {name: given.get(name, material) for name, material in own.items()}
+
+
+def to_config(material: Material) -> dict[str, Any]:
+    """A material as plain values, e.g. {"model": "blinn-phong", "diffuse": [..], "specular": [..], "exponent": 20}."""
+    if material.shape is None:
+        return {"model": "lambert", "diffuse": material.diffuse.tolist()}
+    weights = {"diffuse": material.diffuse.tolist(), "specular": material.specular.tolist()}
+    return shapes.to_config(material.shape) | weights
+
+
+MODELS: dict[str, Callable[..., Material]] = {
+    "lambert": lambert,
+    BlinnPhong.model: blinn_phong,
+    CookTorrance.model: cook_torrance,
+    Ward.model: ward,
+    GGX.model: ggx,
+}
+
+
+def from_config(config: Mapping[str, Any]) -> Material:
+    """The inverse of `to_config`; what is left out has the default of the model's function.
+
+    Raises:
+        ValueError: an unknown model, or a key that the model does not have; the message lists the valid ones.
+    """
+    values = dict(config)
+    model = values.pop("model", None)
+    if model in (shapes.Named.model, shapes.Blend.model):
+        weights = values.pop("diffuse", 0.5), values.pop("specular", 0.5)
+        return Material(*weights, shapes.from_config({"model": model, **values}))
+    if model not in MODELS:
+        raise ValueError(f"material.model must be one of {', '.join(MODELS)}, got {model!r}")
+    valid = inspect.signature(MODELS[model]).parameters
+    if unknown := [key for key in values if key not in valid]:
+        raise ValueError(f"material: unknown {', '.join(map(repr, unknown))}; valid are {', '.join(valid)}")
+    return MODELS[model](**values)
+
+
+def _colour(name: str, value: Colour, high: float) -> Tensor:
+    colour = torch.as_tensor(value, dtype=torch.float32)
+    if colour.ndim == 0:
+        colour = colour.expand(3)
+    if colour.shape != (3,):
+        raise ValueError(f"{name} must be one number or (3,) linear RGB, got shape {tuple(colour.shape)}")
+    check(name, colour, 0.0, high)
+    return colour

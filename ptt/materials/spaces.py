@@ -1,0 +1,324 @@
+"""BRDF spaces: sampled shapes of one model, names for some of them, and how to move between (Sun 2007, section 4.2)."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
+from importlib import resources
+from itertools import pairwise
+from typing import Any, overload
+
+import torch
+from torch import Tensor, nn
+
+from ptt.materials import material as mat
+from ptt.materials import shapes
+from ptt.materials.material import Material
+from ptt.materials.shapes import GGX, Analytic, Blend, BlinnPhong, CookTorrance, Named, Number, Shape, Ward
+from ptt.ops.simplices import Simplices
+
+BRDF = Callable[[Tensor, Tensor], Tensor]  # f(wi, wo): (..., 3), (..., 3) -> (...) [1/sr]
+MERL_SCALE = 1.0, 1.15, 1.66  # of the colours: the published fits lack it
+EXPONENTS = tuple(200 ** (k / 40) for k in range(41))  # 1..200, a seventh apart
+MODERATE = tuple(2 ** (k / 4) for k in range(25))  # 1..64: what a tensor shows well without lobes
+SLOPES = tuple(0.03 * 30 ** (k / 24) for k in range(25))  # 0.03..0.9
+ROUGHNESSES = tuple(0.1 ** (1 - k / 24) for k in range(25))  # 0.1..1
+
+
+@dataclass(frozen=True, eq=False)
+class BRDFSpace:
+    """Sampled shapes: those of one analytic model, with what lies between them, and any number of named BRDFs.
+
+    samples (h): analytic shapes of one model of which one or two parameters vary, and `Named` ones of the user's own
+    materials: by name, those that `material` and `path` know
+    clamped: an analytic shape outside of the samples is the nearest one inside (True), or refused
+
+    Between analytic samples the space is linear: along exponents, bilinear on a grid (Ward's slopes, GGX), barycentric
+    in a plane that is triangulated otherwise.
+
+        space = BRDFSpace.fitted()
+        space.material("gold-metallic-paint")
+        space.at(F0=0.4, m=0.2)
+        space.path("gold-metallic-paint", "chrome", steps=24)       # an animation
+
+    Raises:
+        ValueError: no samples, analytic ones of several models, or the same sample twice.
+
+    Sun et al. 2007, section 4.2.
+    """
+
+    samples: tuple[Shape, ...]
+    materials: Mapping[str, Material] = field(default_factory=dict)
+    clamped: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.samples or any(isinstance(s, Blend) for s in self.samples):
+            raise ValueError("samples must hold at least one shape, and no Blend")
+        if len(models := {s.model for s in self._analytic}) > 1:
+            raise ValueError(f"analytic samples must be of one model, got {', '.join(sorted(models))}")
+        if len(given := {tuple(shapes.parameters(s)) for s in self._analytic}) > 1:
+            raise ValueError(f"analytic samples must have the same parameters, got {' and '.join(map(str, given))}")
+        if len({str(shapes.to_config(s)) for s in self.samples}) < len(self.samples):
+            raise ValueError("samples must differ, got the same parameters or the same name twice")
+        if self._analytic:
+            _ = self._simplices  # refuses now what it cannot triangulate
+
+    @classmethod
+    def blinn_phong(cls, exponents: Sequence[float] = EXPONENTS) -> BRDFSpace:
+        """Ascending exponents; the default has 41 in 1..200, where the paper has every integer.
+
+        Raises:
+            ValueError: not ascending, or outside of 0..1e6.
+        """
+        if not exponents or any(a >= b for a, b in pairwise(exponents)):
+            raise ValueError(f"exponents must hold ascending values, got {tuple(exponents)}")
+        return cls(tuple(BlinnPhong(float(n)) for n in exponents))
+
+    @classmethod
+    @cache
+    def fitted(cls) -> BRDFSpace:
+        """The 86 Cook-Torrance materials of Ngan et al. 2005 (`ptt/data/README.md`), in MERL's colours."""
+        text = resources.files("ptt").joinpath("data", "ngan_cooktorrance.csv").read_text()
+
+        def material(row: dict[str, str]) -> Material:
+            kd, ks = (
+                [scale * float(row[f"{k}_{c}"]) for scale, c in zip(MERL_SCALE, "rgb", strict=True)]
+                for k in ("kd", "ks")
+            )
+            return Material(kd, ks, CookTorrance(float(row["F0"]), float(row["m"])))
+
+        named = {row["material"]: material(row) for row in csv.DictReader(text.splitlines())}
+        return cls(tuple(m.shape for m in named.values() if m.shape), named, clamped=True)
+
+    @classmethod
+    def ward(cls, slopes: Sequence[float] | None = None, anisotropic: bool = False) -> BRDFSpace:
+        """Ward shapes of the given slopes, of 25 in 0.03..0.9; anisotropic ones of all pairs, of 7 in this range."""
+        if anisotropic:
+            slopes = slopes or SLOPES[::4]
+            return cls(tuple(Ward(x, y) for x in slopes for y in slopes))
+        return cls(tuple(Ward(x) for x in slopes or SLOPES))
+
+    @classmethod
+    def ggx(cls, roughnesses: Sequence[float] = ROUGHNESSES) -> BRDFSpace:
+        """GGX shapes of the given roughnesses with F0 0 and 1: Schlick's reflectance is linear in between."""
+        return cls(tuple(GGX(f0, r) for r in roughnesses for f0 in (0.0, 1.0)))
+
+    @classmethod
+    def user(cls, brdfs: Mapping[str, BRDF | Material]) -> BRDFSpace:
+        """BRDFs of one's own by name: functions f(wi, wo) (..., 3), (..., 3) -> (...) [1/sr], or materials.
+
+        `ptt.separate` makes a material of RGB data, `ptt.tabulated` a function of a table.
+        """
+        named = {name: _named_material(name, given) for name, given in brdfs.items()}
+        return cls(tuple(m.shape for m in named.values() if m.shape), named)
+
+    @property
+    def isotropic(self) -> bool:
+        """Whether every sample is."""
+        return all(shape.isotropic for shape in self.samples)
+
+    def with_brdf(self, name: str, brdf: BRDF | Material) -> BRDFSpace:
+        """The space with one more sample: a function f(wi, wo), or a material's shape, by name.
+
+        Raises:
+            ValueError: the name is taken, the material has no shape, or the function returns what no BRDF does.
+        """
+        if name in self.materials:
+            raise ValueError(f"name {name!r} is taken: the space has a material of that name")
+        material = _named_material(name, brdf)
+        assert material.shape is not None
+        return replace(self, samples=(*self.samples, material.shape), materials={**self.materials, name: material})
+
+    def material(self, name: str) -> Material:
+        """The material of that name.
+
+        Raises:
+            ValueError: no such name; the message suggests the nearest ones.
+        """
+        if name not in self.materials:
+            near = difflib.get_close_matches(name, self.materials, 5, 0.3)
+            raise ValueError(f"no material {name!r} among {len(self.materials)}; near it: {', '.join(near) or 'none'}")
+        return self.materials[name]
+
+    def at(self, **parameters: Number) -> Shape:
+        """The analytic shape with these parameters: `space.at(F0=0.4, m=0.2)` (or f0).
+
+        Raises:
+            ValueError: unknown or missing parameters, or a point outside of a space that does not clamp.
+        """
+        if not self._analytic:
+            raise ValueError(f"the space holds BRDFs by name, not by parameters: {', '.join(self.materials)}")
+        given = {name.lower(): value for name, value in parameters.items()}
+        valid = shapes.parameters(self._analytic[0])
+        if given.keys() != valid.keys() or len(given) < len(parameters):
+            raise ValueError(f"parameters must be {', '.join(valid)}, got {', '.join(parameters) or 'none'}")
+        shape = type(self._analytic[0])(**given)
+        reached = self._weights(shape) @ self._simplices.points
+        if not self.clamped:
+            return shape
+        inside = {
+            name: value.to(given[name]) if isinstance(given[name], Tensor) else shapes.number(value)
+            for name, value in zip(self._axes, reached, strict=True)
+        }
+        return type(shape)(**(valid | inside))
+
+    @overload
+    def path(self, start: Shape, end: Shape, steps: int) -> list[Shape]: ...
+    @overload
+    def path(self, start: Material | str, end: Material | str, steps: int) -> list[Material]: ...
+    def path(self, start: Shape | Material | str, end: Shape | Material | str, steps: int) -> list[Any]:
+        """Even steps from start to end, both included: shapes between shapes, materials between materials or names.
+
+        Analytic shapes move along a line through their parameters, named BRDFs blend.
+
+        Raises:
+            ValueError: fewer than two steps, an unknown name, or an end outside of the space.
+        """
+        if steps < 2:
+            raise ValueError(f"steps must be at least 2, got {steps}")
+        start, end = (self.material(x) if isinstance(x, str) else x for x in (start, end))
+        along = torch.linspace(0, 1, steps, dtype=torch.float64).tolist()
+        if isinstance(start, Material) and isinstance(end, Material):
+            return [self._material_between(start, end, t) for t in along]
+        if isinstance(start, Material) or isinstance(end, Material):
+            raise ValueError("start and end must both be shapes, or both materials or names")
+        return [self._between(start, end, t) for t in along]
+
+    def coordinates(self, shape: Shape) -> Tensor:
+        """Weights (h,) of the samples, float64, that interpolate a shape; differentiable in its parameters.
+
+        They are >= 0, at most four of them are not zero, and they sum to 1 (those of a `Blend`: to its weights' sum).
+
+        Raises:
+            ValueError: a shape of another model, an unknown name, or parameters outside of the samples.
+        """
+        if isinstance(shape, Blend):
+            parts = zip(shape.weights, shape.shapes, strict=True)
+            return torch.stack([torch.as_tensor(w).cpu() * self.coordinates(s) for w, s in parts]).sum(0)
+        if isinstance(shape, Named):
+            return self._by_name(shape.name)
+        if not self._analytic or shape.model != self._analytic[0].model:
+            raise ValueError(f"the model's space holds {self._models} shapes, got {shape.model}")
+        weights = self._weights(shape)
+        return torch.zeros(len(self.samples), dtype=torch.float64).index_put((self._rows,), weights)
+
+    def resolved(self, shape: Shape | Tensor) -> Tensor:
+        """The coordinates (h,) of a shape; a tensor is taken for them."""
+        return shape if isinstance(shape, Tensor) else self.coordinates(shape)
+
+    def to_config(self) -> dict[str, Any]:
+        """The space as plain values; functions of named BRDFs are left out."""
+        materials = {name: mat.to_config(material) for name, material in self.materials.items()}
+        samples = [shapes.to_config(shape) for shape in self.samples]
+        return {"samples": samples, "materials": materials, "clamped": self.clamped}
+
+    @classmethod
+    def from_config(cls, config: Mapping[str, Any]) -> BRDFSpace:
+        """The inverse of `to_config`; named BRDFs come back without their functions."""
+        materials = {name: mat.from_config(material) for name, material in config["materials"].items()}
+        return cls(tuple(shapes.from_config(s) for s in config["samples"]), materials, config["clamped"])
+
+    def _by_name(self, name: str) -> Tensor:
+        names = [s.name if isinstance(s, Named) else None for s in self.samples]
+        if name not in names:
+            known = ", ".join(n for n in names if n) or "none"
+            raise ValueError(f"no BRDF {name!r} in the space, whose named ones are: {known}; see with_brdf")
+        return nn.functional.one_hot(torch.tensor(names.index(name)), len(names)).double()
+
+    def _weights(self, shape: Analytic) -> Tensor:
+        """Weights of the analytic samples.
+
+        Raises:
+            ValueError: the shape lies outside of a space that does not clamp, or differs in what does not vary.
+        """
+        place, points = self._place(shape), self._simplices.points
+        weights = self._simplices.weights(place)
+        if self.clamped:
+            return weights
+        missed = (weights @ points - place).detach().abs() > 2e-6 * points.abs().amax(0)
+        if bool(missed.any()):
+            axes = ", ".join(self._axes)
+            raise ValueError(f"({axes}) must lie between the samples of the model's space, got {place.tolist()}")
+        return weights
+
+    def _place(self, shape: Analytic) -> Tensor:
+        """A shape as a point (d,) on the axes that vary.
+
+        Raises:
+            ValueError: it lies outside of the samples' range in a space that does not clamp, or has other parameters.
+        """
+        given, first = shapes.parameters(shape), shapes.parameters(self._analytic[0])
+        if given.keys() != first.keys():
+            raise ValueError(f"{shape.model} must have {', '.join(first)} here, got {', '.join(given)}")
+        for name, value in given.items():
+            a, b = self._bounds.get(name, (shapes.number(first[name]),) * 2)
+            if not self.clamped and not a * (1 - 1e-6) <= shapes.number(value) <= b * (1 + 1e-6):
+                raise ValueError(f"{name} must be in {a:g}..{b:g}, the model's space, got {shapes.number(value):g}")
+        return torch.stack([torch.as_tensor(given[name], dtype=torch.float64).cpu() for name in self._axes])
+
+    def _between(self, start: Shape, end: Shape, t: float) -> Shape:
+        for shape in (start, end):
+            self.coordinates(shape)  # refuses what is not in the space
+        if isinstance(start, Named | Blend) or isinstance(end, Named | Blend):
+            return Blend((start, end), (1 - t, t))
+        ends = zip(shapes.parameters(start).items(), shapes.parameters(end).values(), strict=True)
+        return self.at(**{name: shapes.number(a) + t * (shapes.number(b) - shapes.number(a)) for (name, a), b in ends})
+
+    def _material_between(self, start: Material, end: Material, t: float) -> Material:
+        if start.shape is None or end.shape is None:
+            raise ValueError("both materials of a path must have a shape")
+        diffuse, specular = (torch.lerp(getattr(start, k), getattr(end, k), t) for k in ("diffuse", "specular"))
+        return Material(diffuse, specular, self._between(start.shape, end.shape, t))
+
+    @property
+    def _models(self) -> str:
+        return ", ".join(sorted({shape.model for shape in self.samples}))
+
+    @cached_property
+    def _analytic(self) -> tuple[Analytic, ...]:
+        return tuple(s for s in self.samples if isinstance(s, Analytic))
+
+    @cached_property
+    def _axes(self) -> tuple[str, ...]:
+        """Names of the parameters that vary among the analytic samples; of a single sample, its first."""
+        table = [shapes.parameters(s) for s in self._analytic]
+        varying = tuple(name for name in table[0] if len({shapes.number(row[name]) for row in table}) > 1)
+        return varying or tuple(table[0])[:1]
+
+    @cached_property
+    def _bounds(self) -> dict[str, tuple[float, float]]:
+        """Of the parameters that vary."""
+        points = self._simplices.points
+        low, high = points.amin(0).tolist(), points.amax(0).tolist()
+        return dict(zip(self._axes, zip(low, high, strict=True), strict=True))
+
+    @cached_property
+    def _rows(self) -> Tensor:
+        """Which samples are analytic."""
+        return torch.tensor([h for h, s in enumerate(self.samples) if isinstance(s, Analytic)])
+
+    @cached_property
+    def _simplices(self) -> Simplices:
+        points = [[shapes.number(shapes.parameters(s)[name]) for name in self._axes] for s in self._analytic]
+        return Simplices(torch.tensor(points, dtype=torch.float64))
+
+
+def fitted(name: str) -> Material:
+    """A measured material by its MERL name, as fitted by Ngan et al. 2005: `ptt.fitted("gold-metallic-paint")`.
+
+    Raises:
+        ValueError: no such name; the message suggests the nearest ones.
+    """
+    return BRDFSpace.fitted().material(name)
+
+
+def _named_material(name: str, given: BRDF | Material) -> Material:
+    """Under its own name, so that edits of its colours keep the shape."""
+    if not isinstance(given, Material):
+        return Material(0.0, 1.0, Named(name, given, shapes.turns_alike(Named(name, given))))
+    if given.shape is None:
+        raise ValueError(f"material {name!r} must have a shape")
+    return Material(given.diffuse, given.specular, Named(name, given.shape.evaluate, given.shape.isotropic))

@@ -1,0 +1,109 @@
+"""Receivers, the points that a model relights: where they are, how they are turned, and which region they belong to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ptt.io.saved import Shapes
+from ptt.materials import material as mat
+from ptt.materials.material import Material
+from ptt.scene.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Receivers:
+    """v points of a scene, region by region.
+
+    positions (v, 3): `Scene.points`, frames (v, 3, 3): rows tangent, bitangent, normal; local = frames @ world
+    colours (v, 3): linear base colour
+    counts: points in each region, in the order of the names
+    names, editable: of the regions
+    materials: default Material of each region
+    """
+
+    positions: Tensor
+    frames: Tensor
+    colours: Tensor
+    counts: tuple[int, ...]
+    names: tuple[str, ...]
+    editable: tuple[bool, ...]
+    materials: dict[str, Material]
+
+    @classmethod
+    def of(cls, scene: Scene, index: Tensor | None = None) -> Receivers:
+        """The vertices of a scene, or those that index (v,), ascending, names."""
+        at = torch.arange(len(scene.vertices)) if index is None else index
+        counts = torch.bincount(scene.vertex_region[at], minlength=len(scene.regions))
+        return cls(
+            scene.points[at],
+            scene.frames[at],
+            scene.colours[at],
+            tuple(counts.tolist()),
+            tuple(region.name for region in scene.regions),
+            tuple(region.editable for region in scene.regions),
+            dict(scene.materials),
+        )
+
+    def part(self, rows: slice) -> Receivers:
+        """Those in a range."""
+        first, end, _ = rows.indices(len(self))
+        counts = tuple(max(0, min(end, b) - max(first, a)) for a, b in self.spans)
+        return replace(
+            self,
+            positions=self.positions[rows],
+            frames=self.frames[rows],
+            colours=self.colours[rows],
+            counts=counts,
+        )
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @property
+    def spans(self) -> list[tuple[int, int]]:
+        """(first, end) of each region's points."""
+        ends = torch.tensor(self.counts).cumsum(0).tolist()
+        return [(end - count, end) for end, count in zip(ends, self.counts, strict=True)]
+
+    def tensors(self) -> dict[str, Tensor]:
+        """What is saved beside `config()`."""
+        return {"positions": self.positions, "frames": self.frames, "colours": self.colours}
+
+    def config(self) -> dict[str, Any]:
+        """What is saved beside `tensors()`, as plain values."""
+        regions = zip(self.names, self.counts, self.editable, strict=True)
+        return {
+            "regions": [
+                {"name": n, "points": c, "editable": e, "material": mat.to_config(self.materials[n])}
+                for n, c, e in regions
+            ]
+        }
+
+    @classmethod
+    def restore(cls, config: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> Receivers:
+        """The inverse of `config` and `tensors`."""
+        regions = config["regions"]
+        return cls(
+            tensors["positions"],
+            tensors["frames"],
+            tensors["colours"],
+            tuple(r["points"] for r in regions),
+            tuple(r["name"] for r in regions),
+            tuple(r["editable"] for r in regions),
+            {r["name"]: mat.from_config(r["material"]) for r in regions},
+        )
+
+    @staticmethod
+    def expected(config: Mapping[str, Any]) -> Shapes:
+        """Types and shapes of the tensors that belong to a config."""
+        v = sum(region["points"] for region in config["regions"])
+        return {
+            "positions": (torch.float32, (v, 3)),
+            "frames": (torch.float32, (v, 3, 3)),
+            "colours": (torch.float32, (v, 3)),
+        }

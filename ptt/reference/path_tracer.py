@@ -1,0 +1,272 @@
+"""Vectorised paths through a scene under one light: how `ptt.reference` traces them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import cached_property
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from ptt.light.environment import Environment
+from ptt.materials.material import Material
+from ptt.materials.shapes import GGX, BlinnPhong, CookTorrance, Ward, number
+from ptt.ops.raycast import Hits
+from ptt.reference.sampling import BeckmannLobe, GGXLobe, Mixture, PowerLobe
+from ptt.scene.scene import Scene
+
+BATCHES = 64  # at least so many where there are as many samples: the standard error is then good to 9 %
+LATTICE = 256  # samples a batch, at most
+RAYS = 1 << 17  # paths a thread at a time: about 80 MB
+THREADS = 16  # at most
+GRAZING = 1e-6  # cosine from which a direction is above the horizon
+
+
+class Estimate(NamedTuple):
+    """Radiance and its standard error, both (..., 3), linear RGB, float64."""
+
+    mean: Tensor
+    standard_error: Tensor
+
+
+class Vertices(NamedTuple):
+    """Path vertices: ray origin (n, 3) float64, frame (n, 3, 3), region (n,), colour (n, 3), local wo (n, 3)."""
+
+    origin: Tensor
+    frame: Tensor
+    region: Tensor
+    colour: Tensor
+    wo: Tensor
+
+    def take(self, rows: Tensor) -> Vertices:
+        return Vertices(*(_pick(x, rows) for x in self))
+
+
+class Paths:
+    """A path tracer for one scene under one light, with its tables."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        environment: Environment,
+        materials: Mapping[str, Material],
+        *,
+        bounces: int = 0,
+        samples: int = 256,
+        seed: int = 0,
+        progress: bool = False,
+    ) -> None:
+        if bounces < 0 or samples < 2:
+            raise ValueError(f"bounces must be at least 0 and samples at least 2, got {bounces} and {samples}")
+        missing = [region.name for region in scene.regions if region.name not in materials]
+        if missing:
+            raise ValueError(f"materials must cover every region of the scene, got none for {', '.join(missing)}")
+        self.scene, self.environment, self.sampler = scene, environment, environment.sampler()
+        self.materials = [materials[region.name] for region in scene.regions]
+        self.mixtures = [_mixture(material) for material in self.materials]
+        self.bounces, self.samples, self.progress = bounces, samples, progress
+        self.random = torch.Generator().manual_seed(seed)
+
+    @cached_property
+    def corners(self) -> Tensor:
+        """(f, 30): first corner, the two edges from it, unit normal of the face; normals and tangents of corners."""
+        scene = self.scene
+        a, b, c = scene.vertices.double()[scene.faces].unbind(1)
+        normal = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-300)
+        place = torch.stack([a, b - a, c - a, normal], 1).float()
+        return torch.cat([place, scene.normals[scene.faces], scene.tangents[scene.faces]], 1).flatten(1)
+
+    def estimate(self, start: Vertices) -> Estimate:
+        """Means and standard errors (n, 3) of the light from n vertices."""
+        size = min(max(1, self.samples // BATCHES), LATTICE)
+        batches = -(-self.samples // size)
+        lit = torch.nonzero(start.wo[:, 2] > GRAZING)[:, 0]
+        sums = torch.zeros(2, len(start.wo), 3, dtype=torch.float64)
+        passes = list(_passes(len(lit), batches, max(1, RAYS // size)))
+        seeds = torch.randint(2**32, (len(passes),), generator=self.random).tolist()
+
+        @torch.no_grad()
+        def run(block: tuple[slice, int], seed: int) -> Tensor:
+            some, count = block
+            return self._batch_means(start.take(lit[some]), count, size, torch.Generator().manual_seed(seed))
+
+        with (
+            _side_by_side(min(self.scene.surface.threads, THREADS)) as pool,
+            self._bar(len(lit) * batches * size) as bar,
+        ):
+            for (some, _), means in zip(passes, pool.map(run, passes, seeds), strict=True):
+                sums[0, lit[some]] += means.sum(1)
+                sums[1, lit[some]] += means.square().sum(1)
+                bar.update(means[..., 0].numel() * size)
+        mean = sums[0] / batches
+        variance = (sums[1] / batches - mean.square()).clamp(min=0) / (batches - 1)
+        return Estimate(mean, variance.sqrt())
+
+    def _bar(self, paths: int) -> tqdm:
+        return tqdm(total=paths, unit=" paths", unit_scale=True, disable=not self.progress)
+
+    def _batch_means(self, start: Vertices, count: int, size: int, random: torch.Generator) -> Tensor:
+        """Means (n, count, 3) of `count` batches of `size` paths from each of n vertices."""
+        n = len(start.wo)
+        u = (_uniform(n * count, random)[:, None] + _lattice(size)).frac().reshape(-1, 5)
+        light = self._trace(start.take(torch.arange(n).repeat_interleave(count * size)), u, random)
+        return light.reshape(n, count, size, 3).double().mean(2)
+
+    def _trace(self, at: Vertices, u: Tensor, random: torch.Generator) -> Tensor:
+        """Light (n, 3) along one path from each vertex; u (n, 5): random numbers for the first."""
+        light, weight, path = torch.zeros_like(at.wo), torch.ones_like(at.wo), torch.arange(len(at.wo))
+        for left in range(self.bounces, -1, -1):
+            rows, value = self._towards_light(at, u[:, :2])
+            light.index_add_(0, _pick(path, rows), _pick(weight, rows) * value)
+            rows, world, factor, density = self._towards_brdf(at, u[:, 2:])
+            path, weight, origin = _pick(path, rows), _pick(weight, rows) * factor, _pick(at.origin, rows)
+            hits = None if left == 0 else self.scene.surface.first_hit(origin, world)
+            missed = ~self.scene.surface.occluded(origin, world) if hits is None else hits.triangle < 0
+            out = torch.nonzero(missed)[:, 0]
+            beyond = self._beyond(_pick(world, out), _pick(density, out))
+            light.index_add_(0, _pick(path, out), _pick(weight, out) * beyond)
+            if hits is not None:
+                rows, at = self.arrive(hits, world)
+                path, weight, u = _pick(path, rows), _pick(weight, rows), _uniform(len(rows), random)
+        return light
+
+    def _beyond(self, world: Tensor, density: Tensor) -> Tensor:
+        """The environment (n, 3) in directions that BRDFs drew with this density (n,), by the balance heuristic."""
+        share = density / (density + self.sampler.pdf(world))
+        return share[:, None] * self.environment.radiance(world)
+
+    def _towards_light(self, at: Vertices, u: Tensor) -> tuple[Tensor, Tensor]:
+        """The vertices (k,) that receive light along directions drawn from the environment, and the light (k, 3)."""
+        world, density = self.sampler.sample(u)
+        rows = torch.nonzero((at.frame[:, 2] * world).sum(1) > GRAZING)[:, 0]
+        free = ~self.scene.surface.occluded(_pick(at.origin, rows), _pick(world, rows))
+        rows = _pick(rows, torch.nonzero(free)[:, 0])
+        at, world, density = at.take(rows), _pick(world, rows), _pick(density, rows)
+        response, other = self._respond(at, to_local(at.frame, world))
+        return rows, response * self.environment.radiance(world) / (density + other)[:, None]
+
+    def _towards_brdf(self, at: Vertices, u: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """The vertices (k,) whose BRDF draws a direction above the horizon.
+
+        And the directions (k, 3) in world space, BRDF x cosine / density (k, 3), and the density (k,).
+        """
+        wi = torch.empty_like(at.wo)
+        for index, rows in self._by_region(at):
+            wi.index_copy_(0, rows, self.mixtures[index].sample(_pick(u, rows), _pick(at.wo, rows)))
+        rows = torch.nonzero(wi[:, 2] > GRAZING)[:, 0]
+        at, wi = at.take(rows), _pick(wi, rows)
+        response, density = self._respond(at, wi)
+        return rows, _to_world(at.frame, wi), response / density[:, None], density
+
+    def _respond(self, at: Vertices, wi: Tensor) -> tuple[Tensor, Tensor]:
+        """BRDF x cosine (n, 3), and the density (n,) with which the BRDF would have drawn wi (n, 3), local."""
+        response, density = torch.empty_like(wi), torch.empty_like(wi[:, 0])
+        for index, rows in self._by_region(at):
+            i, o, colour = _pick(wi, rows), _pick(at.wo, rows), _pick(at.colour, rows)
+            response.index_copy_(0, rows, self.materials[index].evaluate(i, o, colour))
+            density.index_copy_(0, rows, self.mixtures[index].density(i, o))
+        return response * wi[:, 2:], density
+
+    def _by_region(self, at: Vertices) -> Iterator[tuple[int, Tensor]]:
+        for index, count in enumerate(torch.bincount(at.region, minlength=len(self.materials)).tolist()):
+            if count:
+                yield index, torch.nonzero(at.region == index)[:, 0]
+
+    def arrive(self, hits: Hits, directions: Tensor) -> tuple[Tensor, Vertices]:
+        """The rays (k,) that hit a front seen from above the shading horizon, and the k vertices there."""
+        rows = torch.nonzero(hits.front)[:, 0]
+        triangle, weights = _pick(hits.triangle, rows), _pick(hits.barycentric, rows)
+        corners = _pick(self.corners, triangle).view(-1, 10, 3)
+        position = corners[:, 0].double() + (corners[:, 1:3] * weights[:, 1:, None]).sum(1)
+        frame = orthonormal(_mix(corners[:, 4:7], weights), _mix(corners[:, 7:10], weights))
+        wo = -to_local(frame, _pick(directions, rows))
+        at = Vertices(
+            self.scene.surface.offset(position, corners[:, 3]),
+            frame,
+            self.scene.face_region[triangle],
+            self.scene.albedo(triangle, weights),
+            wo,
+        )
+        above = torch.nonzero(wo[:, 2] > GRAZING)[:, 0]
+        return _pick(rows, above), at.take(above)
+
+
+def _mixture(material: Material) -> Mixture:
+    """How to draw directions for a material: the lobe's share is about its part of the reflected light."""
+    match material.shape:
+        case BlinnPhong(exponent):
+            return Mixture(PowerLobe(number(exponent)), _share(material, 1.0))
+        case CookTorrance(f0, m):
+            return Mixture(BeckmannLobe(number(m)), _share(material, 4 / math.pi * max(number(f0), 0.1)))
+        case Ward(ax, ay):
+            return Mixture(BeckmannLobe(number(ax), number(ax if ay is None else ay)), _share(material, 1.0))
+        case GGX(f0, roughness):
+            return Mixture(GGXLobe(number(roughness)), _share(material, max(number(f0), 0.1)))
+    return Mixture()
+
+
+def _share(material: Material, albedo: float) -> float:
+    specular, diffuse = number(material.specular.mean()) * albedo, number(material.diffuse.mean())
+    return min(max(specular / max(specular + diffuse, 1e-12), 0.1), 0.9)
+
+
+def _passes(n: int, batches: int, capacity: int) -> Iterator[tuple[slice, int]]:
+    """Cut `batches` for each of n points in blocks (points, batches) of at most `capacity`."""
+    for first in range(0, n, capacity):
+        some = slice(first, min(first + capacity, n))
+        most = capacity // (some.stop - first)
+        for done in range(0, batches, most):
+            yield some, min(most, batches - done)
+
+
+@contextmanager
+def _side_by_side(threads: int) -> Iterator[ThreadPoolExecutor]:
+    """Threads that each run torch on one core: its own threads would wait for each other after every operation."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with ThreadPoolExecutor(threads) as pool:
+            yield pool
+    finally:
+        torch.set_num_threads(before)
+
+
+def _uniform(n: int, random: torch.Generator) -> Tensor:
+    return torch.rand(n, 5, generator=random)
+
+
+def _lattice(size: int) -> Tensor:
+    """Multiples (size, 5) of the powers of 1/g, g^6 = g + 1: a sequence that fills the 5-cube evenly."""
+    g = 1.1347241384015194
+    return (torch.arange(size)[:, None].double() * g ** -torch.arange(1.0, 6.0).double()).frac().float()
+
+
+def _pick(values: Tensor, rows: Tensor) -> Tensor:
+    """values[rows], several times faster."""
+    return values.index_select(0, rows)
+
+
+def to_local(frame: Tensor, world: Tensor) -> Tensor:
+    return torch.einsum("nij,nj->ni", frame, world)
+
+
+def _to_world(frame: Tensor, local: Tensor) -> Tensor:
+    return torch.einsum("nij,ni->nj", frame, local)
+
+
+def _mix(corners: Tensor, weights: Tensor) -> Tensor:
+    """Values (n, 3) inside triangles, from those at their corners (n, 3, 3) and barycentric weights (n, 3)."""
+    return torch.einsum("nkc,nk->nc", corners, weights)
+
+
+def orthonormal(normal: Tensor, tangent: Tensor) -> Tensor:
+    """Orthonormal frames (n, 3, 3) from interpolated normals and tangents (n, 3)."""
+    normal = torch.nn.functional.normalize(normal, dim=1)
+    tangent = tangent - (tangent * normal).sum(1, keepdim=True) * normal
+    tangent = torch.nn.functional.normalize(tangent, dim=1)
+    return torch.stack([tangent, torch.linalg.cross(normal, tangent), normal], 1)

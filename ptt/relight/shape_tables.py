@@ -1,0 +1,35 @@
+"""A memory of what was made of the last few shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+import torch
+
+from ptt.materials.shapes import Shape, carries_gradient, frozen
+
+T = TypeVar("T")
+REMEMBERED = 8
+
+
+class ShapeTables(Generic[T]):
+    """make(shape) of a shape with its parameters as they are now, on a device; None is a shape too."""
+
+    def __init__(self, make: Callable[[Shape | None], T]) -> None:
+        self._make, self._kept = make, dict[object, T]()
+
+    def __call__(self, shape: Shape | None, device: torch.device) -> T:
+        """The table of a shape.
+
+        Raises:
+            ValueError: a parameter requires a gradient, which a table would lose.
+        """
+        if shape is not None and torch.is_grad_enabled() and carries_gradient(shape):
+            raise ValueError("shapes carry no gradients here: detach the parameters, or use TransferRelighter")
+        key = None if shape is None else frozen(shape), device
+        if key not in self._kept:
+            while len(self._kept) >= REMEMBERED:
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[key] = self._make(shape)
+        return self._kept[key]

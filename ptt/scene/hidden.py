@@ -1,0 +1,54 @@
+"""Scenes without what nobody sees: the inside of a machine has as many vertices as its outside."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from ptt.ops.octahedral import Octahedral
+from ptt.scene.scene import Scene
+
+SIDE = 16  # of the octahedral grid of directions that are tried
+AT_ONCE = 32  # directions
+
+
+def without_hidden(scene: Scene) -> Scene:
+    """The scene without the triangles that see no way out, nor their vertices.
+
+    A triangle stays where a ray from one of its corners or its middle, to either side, meets nothing; 256 directions
+    are tried. Nobody outside sees the others, and no light comes to them but through slits.
+
+    Raises:
+        ValueError: a whole region is hidden.
+    """
+    faces = scene.faces
+    seen = _sees_out(scene, scene.points, scene.normals)
+    keep = seen[faces].any(1)
+    unsure = torch.nonzero(~keep)[:, 0]
+    corners = scene.vertices[faces[unsure]]
+    across = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    keep[unsure] = _sees_out(scene, corners.mean(1), torch.nn.functional.normalize(across, dim=1))
+    for index, region in enumerate(scene.regions):
+        if not bool(keep[scene.face_region == index].any()):
+            raise ValueError(f"region {region.name!r} is hidden: nothing of it sees a way out of the scene")
+    rows, renumbered = faces[keep].unique(return_inverse=True)
+    names = ("vertices", "normals", "tangents", "vertex_region", "colours")
+    parts = {name: getattr(scene, name)[rows] for name in names}
+    return replace(scene, faces=renumbered, uv=None if scene.uv is None else scene.uv[rows], **parts)
+
+
+def _sees_out(scene: Scene, points: Tensor, normals: Tensor) -> Tensor:
+    """Whether a ray (n,) leads out of the scene from each point (n, 3) of its surface."""
+    directions = Octahedral(SIDE).directions().reshape(-1, 3)
+    directions = directions[torch.randperm(len(directions), generator=torch.Generator().manual_seed(0))]
+    found = torch.zeros(len(points), dtype=torch.bool)
+    for some in directions.split(AT_ONCE):
+        blind = torch.nonzero(~found)[:, 0]
+        normal = normals[blind, None].double()
+        side = torch.where((normal * some).sum(2, keepdim=True) > 0, normal, -normal)  # shape: (blind, some, 3)
+        origins = scene.surface.offset(points[blind, None], side).reshape(-1, 3)
+        hidden = scene.surface.occluded(origins, some.repeat(len(blind), 1))
+        found[blind] = ~hidden.reshape(len(blind), len(some)).all(1)
+    return found

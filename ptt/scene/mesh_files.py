@@ -1,0 +1,175 @@
+"""Mesh files, read through trimesh: .ply, .obj, .stl, .gltf, .glb.
+
+What becomes a region, by its name:
+
+- glTF: each mesh (each primitive of one, where it has several), all its instances in world space together.
+- OBJ: each material, where there are several. Others: the whole file, under its stem.
+
+Base colour: glTF's baseColorFactor and MTL's Kd are linear and become the material's diffuse. Textures, and
+the vertex colours of PLY and OBJ, are sRGB and are decoded; glTF's vertex colours are linear. trimesh holds
+glTF's factors in 8 bits. A texture outdoes vertex colours.
+
+glTF's metallic-roughness becomes Blinn-Phong: diffuse = 0.96 (1 - metallic) base,
+specular = 0.04 (1 - metallic) + metallic base, exponent = 2 / roughness^4 - 2, kept within 1..200. MTL's Ks
+and Ns are taken as they are, Ns within 1..200. Normal, metallic-roughness and emissive textures, transparency
+and double-sidedness have no counterpart here and are left out.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+
+from ptt.io.images import from_srgb
+from ptt.materials.material import Material, blinn_phong
+from ptt.ops import mesh
+from ptt.scene.parts import Part, join, transformed
+
+FORMATS = (".ply", ".obj", ".stl", ".gltf", ".glb")
+GLTF = (".gltf", ".glb")
+EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")  # Pillow's modes
+
+
+def read_parts(path: Path) -> list[Part]:
+    """The parts of a mesh file, in world space.
+
+    PLY keeps its vertices' order and number. STL vertices at the same position are joined. An OBJ without
+    normals gets smooth ones across the seams of its texture coordinates.
+
+    Raises:
+        ValueError: the file is missing, of another kind, unreadable, or has no triangles.
+    """
+    scene = _open(path)
+    suffix = path.suffix.lower()
+    solid = {k: g for k, g in scene.geometry.items() if hasattr(g, "faces") and len(g.faces)}
+    sources = {name: _part(name, geometry, suffix in GLTF) for name, geometry in solid.items()}
+    placed: dict[str, list[Part]] = {name: [] for name in sources}
+    for matrix, name in (scene.graph[node] for node in scene.graph.nodes_geometry):
+        if name in sources:
+            placed[name].append(transformed(sources[name], _tensor(matrix)))
+    parts = [join(name, instances) for name, instances in placed.items() if instances]
+    if not parts:
+        raise ValueError(f"path must hold triangles: {path} has no faces")
+    lost = _missing_files(path) if suffix == ".obj" else []
+    lost += [f"{name} (no triangles)" for name in scene.geometry if name not in sources]
+    if lost:
+        warnings.warn(f"{path.name} was read without {', '.join(lost)}", UserWarning, stacklevel=2)
+    if len(parts) == 1 and suffix not in GLTF:
+        parts = [replace(parts[0], name=path.stem)]
+    return [_per_format(part, suffix) for part in parts]
+
+
+def read_texture(image: Path | Image.Image) -> Tensor:
+    """An 8-bit sRGB image as linear RGB (h, w, 3) float32; alpha is ignored.
+
+    Raises:
+        ValueError: the file is missing, not an image, or not of 8 bits.
+    """
+    try:
+        opened = Image.open(image) if isinstance(image, Path) else image
+        if opened.mode not in EIGHT_BITS:
+            raise ValueError(f"8-bit grey, palette or RGB expected, got mode {opened.mode}")
+        pixels = np.asarray(opened.convert("RGB"))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"texture must be a readable 8-bit image: {image}: {error}") from error
+    return from_srgb(torch.from_numpy(pixels / 255.0)).float()
+
+
+def _open(path: Path) -> Any:
+    import trimesh
+
+    if path.suffix.lower() not in FORMATS:
+        raise ValueError(f"path must end in {', '.join(FORMATS)} or .toml, got {path}")
+    if not path.is_file():
+        raise ValueError(f"path must be an existing file, got {path}")
+    try:
+        return trimesh.load_scene(str(path), process=False)
+    except Exception as error:  # trimesh's readers raise whatever they stumble over
+        raise ValueError(f"path must be a readable mesh: {path}: {type(error).__name__}: {error}") from error
+
+
+def _part(name: str, geometry: Any, gltf: bool) -> Part:
+    normals = geometry.vertex_normals if "vertex_normals" in geometry._cache else None  # the file's own only
+    material, image = _material(getattr(geometry.visual, "material", None))
+    uv = getattr(geometry.visual, "uv", None)
+    return Part(
+        name,
+        _tensor(geometry.vertices),
+        torch.from_numpy(np.array(geometry.faces, dtype=np.int64)),
+        normals=None if normals is None else _tensor(normals),
+        uv=None if uv is None else _tensor(uv),
+        colours=_vertex_colours(geometry.visual, gltf),
+        texture=None if image is None or uv is None else read_texture(image),
+        material=material,
+    )
+
+
+def _vertex_colours(visual: Any, gltf: bool) -> Tensor | None:
+    if visual.kind in ("vertex", "face"):
+        colours = visual.vertex_colors
+    elif (colours := getattr(visual, "vertex_attributes", {}).get("color")) is None:
+        return None
+    scale = np.iinfo(colours.dtype).max if colours.dtype.kind in "ui" else 1.0
+    decoded = _tensor(colours[:, :3]) / scale
+    return (decoded if gltf else from_srgb(decoded)).float()
+
+
+def _material(material: Any) -> tuple[Material | None, Any]:
+    """A trimesh material as ours, and its base colour image."""
+    if hasattr(material, "baseColorFactor"):
+        base = _linear(material.baseColorFactor)
+        metal = 1.0 if material.metallicFactor is None else float(material.metallicFactor)
+        rough = 1.0 if material.roughnessFactor is None else float(material.roughnessFactor)
+        exponent = min(max(2 / max(rough, 0.1) ** 4 - 2, 1.0), 200.0)
+        shine = 0.04 * (1 - metal) + metal * base
+        return blinn_phong(0.96 * (1 - metal) * base, shine, exponent), material.baseColorTexture
+    image = getattr(material, "image", None)
+    mtl = getattr(material, "kwargs", {})
+    if mtl or (image is not None and "file_path" in image.info):  # trimesh's stand-in has neither
+        diffuse, specular = (torch.as_tensor(mtl.get(k, d)) for k, d in (("kd", 1.0), ("ks", 0.0)))
+        exponent = min(max(float(mtl.get("ns", 20.0)), 1.0), 200.0)
+        return blinn_phong(diffuse.clamp(0, 1), specular.clamp(min=0), exponent), image
+    return None, None
+
+
+def _linear(factor: Any) -> Tensor:
+    return torch.ones(3) if factor is None else _tensor(factor[:3]) / 255
+
+
+def _per_format(part: Part, suffix: str) -> Part:
+    if suffix == ".stl":
+        vertices, faces, _ = mesh.weld(part.vertices, part.faces)
+        return replace(part, vertices=vertices, faces=faces, normals=None)
+    if suffix == ".obj" and part.normals is None and int(part.faces.max()) < len(part.vertices):
+        vertices, faces, index = mesh.weld(part.vertices, part.faces)
+        return replace(part, normals=mesh.vertex_normals(vertices, faces)[index])
+    return part
+
+
+def _missing_files(path: Path) -> list[str]:
+    """Material libraries and textures that an OBJ names and that are not there: trimesh passes over them."""
+    missing = []
+    for library in _mentions(path, "mtllib"):
+        if not (path.parent / library).is_file():
+            missing.append(library)
+        else:
+            images = _mentions(path.parent / library, "map_Kd")
+            missing += [image for image in images if not (path.parent / image).is_file()]
+    return missing
+
+
+def _mentions(path: Path, keyword: str) -> list[str]:
+    """What follows a keyword at the start of a line, once for each line that has it."""
+    words = [line.split(None, 1) for line in path.read_text(errors="replace").splitlines()]
+    return [w[1].strip() for w in words if len(w) == 2 and w[0].lower() == keyword.lower()]
+
+
+def _tensor(array: Any) -> Tensor:
+    return torch.from_numpy(np.array(array, dtype=np.float64))

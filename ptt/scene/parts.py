@@ -1,0 +1,163 @@
+"""Geometry before it is a scene: parts, one a region; checked, repaired, placed and joined."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from ptt.materials.material import Material, blinn_phong
+from ptt.ops import mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One region as it comes; the fields are explained at `Scene.from_mesh`."""
+
+    name: str
+    vertices: Tensor
+    faces: Tensor
+    normals: Tensor | None = None
+    uv: Tensor | None = None
+    colours: Tensor | None = None
+    texture: Tensor | None = None
+    material: Material | None = None
+    editable: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A part that is sound: float32 and int64, unit normals and tangents, no triangle without area."""
+
+    vertices: Tensor
+    faces: Tensor
+    normals: Tensor
+    tangents: Tensor
+    colours: Tensor
+    uv: Tensor | None
+    texture: Tensor | None
+    material: Material
+    dropped: int
+    renewed: int
+
+
+def default_material(coloured: bool = False) -> Material:
+    """What a region without a material gets: a little gloss over grey, or over its own base colour."""
+    return blinn_phong(0.96 if coloured else 0.6, 0.04, 20.0)
+
+
+def prepare(parts: Sequence[Part]) -> list[Prepared]:
+    """Check and repair parts as `Scene.from_parts` says, with one warning that counts the repairs."""
+    prepared = []
+    for part in parts:
+        try:
+            prepared.append(_prepare(part))
+        except ValueError as error:
+            raise ValueError(f"region {part.name!r}: {error}") from None
+    dropped, renewed = sum(p.dropped for p in prepared), sum(p.renewed for p in prepared)
+    if dropped or renewed:
+        counts = f"{dropped} triangles without area dropped, {renewed} vertices without a normal given one"
+        warnings.warn(f"mesh repaired: {counts}", UserWarning, stacklevel=4)
+    return prepared
+
+
+def _prepare(part: Part) -> Prepared:
+    vertices, faces = torch.as_tensor(part.vertices), torch.as_tensor(part.faces)
+    vertices = vertices.float() if vertices.is_floating_point() else vertices
+    mesh.check_mesh(vertices, faces)
+    sound = mesh.sound_faces(vertices, faces)
+    faces, dropped = faces.long()[sound], int((~sound).sum())
+    if not len(faces):
+        raise ValueError(f"faces (f, 3) must hold a triangle with an area: all {dropped} have none")
+    count = len(vertices)
+    uv = None if part.uv is None else _rows("uv", part.uv, (count, 2))
+    texture = None if part.texture is None else _checked_texture(part.texture, uv)
+    normals, renewed = _normals(part, vertices, faces)
+    if texture is not None and uv is not None:
+        colours = mesh.sample_texture(texture, uv)
+    else:
+        colours = torch.ones(count, 3) if part.colours is None else _rows("colours", part.colours, (count, 3))
+    material = part.material or default_material(texture is not None or part.colours is not None)
+    tangents = mesh.tangents(vertices, faces, normals, uv).float()
+    normals = normals.float()
+    return Prepared(vertices, faces, normals, tangents, colours, uv, texture, material, dropped, renewed)
+
+
+def _normals(part: Part, vertices: Tensor, faces: Tensor) -> tuple[Tensor, int]:
+    """Unit normals (v, 3), float64, and how many had to be repaired."""
+    normals = mesh.vertex_normals(vertices, faces)
+    known = (normals != 0).any(1)
+    if part.normals is not None:
+        given = _rows("normals", part.normals, (len(vertices), 3), finite=False).double()
+        length = given.norm(dim=1)
+        known = length.isfinite() & (length > 0)
+        normals = torch.where(known[:, None], given / length[:, None], normals)
+    return mesh.fill_normals(vertices, normals), int((~known).sum())
+
+
+def _checked_texture(texture: Tensor, uv: Tensor | None) -> Tensor:
+    if uv is None:
+        raise ValueError("texture needs uv (v, 2), got None")
+    texture = torch.as_tensor(texture).float()
+    if texture.ndim != 3 or texture.shape[2] != 3 or not texture.numel():
+        raise ValueError(f"texture must be (h, w, 3) linear RGB, got {tuple(texture.shape)}")
+    return texture
+
+
+def _rows(name: str, value: Tensor, shape: tuple[int, int], finite: bool = True) -> Tensor:
+    value = torch.as_tensor(value).float()
+    if value.shape != shape:
+        raise ValueError(f"{name} must be {shape}, one row a vertex, got {tuple(value.shape)}")
+    bad = int((~value.isfinite()).any(1).sum())
+    if finite and bad:
+        raise ValueError(f"{name} must be finite: {bad} of {shape[0]} rows are not")
+    return value
+
+
+def join(name: str, parts: Sequence[Part]) -> Part:
+    """One part of several that look alike; attributes that only some have are dropped.
+
+    Raises:
+        ValueError: their materials or textures differ.
+    """
+    first = parts[0]
+    if any(p.texture is not first.texture or not _same(p.material, first.material) for p in parts):
+        raise ValueError("parts must share one material and texture; they differ: give the region a material")
+    counts = torch.tensor([len(p.vertices) for p in parts])
+    starts = (counts.cumsum(0) - counts).tolist()
+    return replace(
+        first,
+        name=name,
+        vertices=torch.cat([p.vertices for p in parts]),
+        faces=torch.cat([p.faces + start for p, start in zip(parts, starts, strict=True)]),
+        normals=_joined([p.normals for p in parts]),
+        uv=_joined([p.uv for p in parts]),
+        colours=_joined([p.colours for p in parts]),
+    )
+
+
+def _joined(values: Sequence[Tensor | None]) -> Tensor | None:
+    given = [value for value in values if value is not None]
+    return torch.cat(given) if len(given) == len(values) else None
+
+
+def transformed(part: Part, matrix: Tensor) -> Part:
+    """The part under an affine transform (4, 4) float64; one that mirrors keeps the front in front."""
+    linear = matrix[:3, :3]
+    mirror = bool(torch.linalg.det(linear) < 0)
+    normals = None if part.normals is None else part.normals.double() @ torch.linalg.inv(linear)
+    return replace(
+        part,
+        vertices=part.vertices.double() @ linear.T + matrix[:3, 3],
+        faces=part.faces.flip(1) if mirror else part.faces,
+        normals=normals,
+    )
+
+
+def _same(a: Material | None, b: Material | None) -> bool:
+    if a is None or b is None:
+        return a is b
+    return bool((a.diffuse == b.diffuse).all() and (a.specular == b.specular).all()) and a.shape == b.shape

@@ -1,0 +1,220 @@
+"""Scene: geometry in named regions, each with one material."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from ptt.light.environment import Environment
+from ptt.materials.material import Material
+from ptt.ops import mesh
+from ptt.ops.octahedral import mix
+from ptt.ops.raycast import Surface
+from ptt.scene.camera import Camera
+from ptt.scene.parts import Part, prepare
+
+INSET = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A part of the scene that has one material.
+
+    editable: whether the material may change after precomputation
+    texture (h, w, 3): linear base colour, or None
+    """
+
+    name: str
+    editable: bool = True
+    texture: Tensor | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Triangles in named regions: made by `from_mesh`, `from_parts` or `ptt.load_scene`, which check them.
+
+    vertices (v, 3) float32, faces (f, 3) int64: no vertex is shared between regions
+    normals, tangents (v, 3): unit, orthogonal to 1e-6
+    vertex_region (v,): index into `regions`
+    colours (v, 3): linear base colour that multiplies the material's diffuse: 1 where there is none,
+        the texture at the vertex where there is one
+    uv (v, 2): texture coordinates, v = 1 on top; 0 in regions that have none; None where no region has any
+    materials: default Material of each region, by name
+    """
+
+    vertices: Tensor
+    faces: Tensor
+    normals: Tensor
+    tangents: Tensor
+    vertex_region: Tensor
+    colours: Tensor
+    uv: Tensor | None
+    regions: tuple[Region, ...]
+    materials: dict[str, Material]
+    environment: Environment | None = None
+    camera: Camera | None = None
+
+    @classmethod
+    def from_mesh(
+        cls,
+        vertices: Tensor,
+        faces: Tensor,
+        name: str = "mesh",
+        *,
+        normals: Tensor | None = None,
+        uv: Tensor | None = None,
+        colours: Tensor | None = None,
+        texture: Tensor | None = None,
+        material: Material | None = None,
+    ) -> Scene:
+        """A scene of one region.
+
+        vertices (v, 3), faces (f, 3): counter-clockwise seen from the front
+        normals (v, 3): any length; zero or non-finite rows, and None, are computed from the faces
+        uv (v, 2), colours (v, 3) linear, texture (h, w, 3) linear: base colour; a texture overrides colours
+        material: None for `ptt.scene.parts.default_material`
+
+        Raises:
+            ValueError: as `from_parts`.
+        """
+        return cls.from_parts([Part(name, vertices, faces, normals, uv, colours, texture, material)])
+
+    @classmethod
+    def from_parts(
+        cls, parts: Sequence[Part], environment: Environment | None = None, camera: Camera | None = None
+    ) -> Scene:
+        """Check, repair and join parts, one region each; without a camera, one that frames them all.
+
+        Triangles without area are dropped. A vertex whose given normal is zero or not finite takes its
+        triangles'; one without triangles, or amid triangles that cancel, stays in its place and takes that of
+        the nearest vertex that has one. One warning counts these repairs over all parts.
+
+        Raises:
+            ValueError: no parts; a name twice; vertices that are not finite; faces that are missing or out of
+                range; an attribute of the wrong shape; a texture without uv.
+        """
+        names = [part.name for part in parts]
+        if not parts or len(set(names)) < len(names):
+            raise ValueError(f"parts must be at least one, with distinct names, got {names}")
+        ready = prepare(parts)
+        counts = torch.tensor([len(r.vertices) for r in ready])
+        starts = (counts.cumsum(0) - counts).tolist()
+        uv = [r.vertices.new_zeros(len(r.vertices), 2) if r.uv is None else r.uv for r in ready]
+        vertices = torch.cat([r.vertices for r in ready])
+        return cls(
+            vertices,
+            torch.cat([r.faces + start for r, start in zip(ready, starts, strict=True)]),
+            torch.cat([r.normals for r in ready]),
+            torch.cat([r.tangents for r in ready]),
+            torch.repeat_interleave(torch.arange(len(parts)), counts),
+            torch.cat([r.colours for r in ready]),
+            None if all(r.uv is None for r in ready) else torch.cat(uv),
+            tuple(Region(p.name, p.editable, r.texture) for p, r in zip(parts, ready, strict=True)),
+            {p.name: r.material for p, r in zip(parts, ready, strict=True)},
+            environment,
+            camera or Camera.framing(*_bounds(vertices)),
+        )
+
+    @cached_property
+    def frames(self) -> Tensor:
+        """(v, 3, 3): rows tangent, bitangent = normal x tangent, normal; local = frames @ world."""
+        bitangents = torch.cross(self.normals, self.tangents, dim=1)
+        return torch.stack([self.tangents, bitangents, self.normals], 1)
+
+    @cached_property
+    def points(self) -> Tensor:
+        """(v, 3): where the vertices are lit, a hundredth of the way into their triangles along the surface.
+
+        A vertex in the very plane of another surface, as where a floor ends at a wall, would see nothing from there.
+        """
+        return mesh.inset(self.vertices, self.faces, self.normals, INSET)
+
+    @cached_property
+    def face_region(self) -> Tensor:
+        """(f,): index into `regions`."""
+        return self.vertex_region[self.faces[:, 0]]
+
+    @cached_property
+    def surface(self) -> Surface:
+        """All triangles, ready for rays."""
+        return Surface(self.vertices, self.faces)
+
+    @cached_property
+    def bounds(self) -> tuple[Tensor, float]:
+        """Centre (3,) of the bounding box, and the radius about it that holds every vertex."""
+        return _bounds(self.vertices)
+
+    def region_index(self, name: str) -> int:
+        """The index into `regions` of the region of that name."""
+        names = [region.name for region in self.regions]
+        if name not in names:
+            raise ValueError(f"no region {name!r}; the scene has {', '.join(names)}")
+        return names.index(name)
+
+    def interpolated(self, values: Tensor, triangle: Tensor, barycentric: Tensor) -> Tensor:
+        """Values (n, ...) inside triangles (n,), at barycentric (n, 3), of those at the vertices (v, ...)."""
+        mixed = mix(
+            values.flatten(1) if values.ndim > 1 else values[:, None], self.faces[triangle], barycentric.to(values)
+        )
+        return mixed.reshape(len(triangle), *values.shape[1:])
+
+    def frames_at(self, triangle: Tensor, barycentric: Tensor) -> Tensor:
+        """Orthonormal frames (n, 3, 3) inside triangles (n,), at barycentric (n, 3).
+
+        Where interpolation leaves no frame, the triangle's normal, or another tangent; a warning counts them.
+        """
+
+        def across(rows: Tensor) -> Tensor:
+            a, b, c = self.vertices[self.faces[triangle[rows]]].unbind(1)
+            return torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1)
+
+        normals, tangents = (self.interpolated(x, triangle, barycentric) for x in (self.normals, self.tangents))
+        frames, repaired = mesh.frames(normals, tangents, across)
+        if repaired:
+            warnings.warn(f"{repaired} of {len(frames)} frames between vertices that disagree repaired", stacklevel=3)
+        return frames
+
+    def share_at(self, share: Tensor, triangle: Tensor, barycentric: Tensor) -> Tensor:
+        """The share (n,) of a second material (`Mixed`) inside triangles (n,), at barycentric (n, 3).
+
+        share: (h, w), a texture by the scene's uv, or (v,), of the vertices and interpolated
+
+        Raises:
+            ValueError: a texture for a scene without uv, or a share of another number of vertices.
+        """
+        if share.ndim == 2:
+            if self.uv is None:
+                raise ValueError("share (h, w) needs a scene with uv: give (v,), of the vertices, instead")
+            return mesh.sample_texture(share[..., None], self.interpolated(self.uv, triangle, barycentric))[:, 0]
+        if len(share) != len(self.vertices):
+            raise ValueError(f"share must have {len(self.vertices)} values, the scene's vertices, got {len(share)}")
+        return self.interpolated(share, triangle, barycentric)
+
+    def albedo(self, triangle: Tensor, barycentric: Tensor) -> Tensor:
+        """Linear base colour (n, 3) at hits: triangle (n,) index into faces, barycentric (n, 3).
+
+        The texture at the interpolated uv where the region has one, else the interpolated colours.
+
+        Raises:
+            ValueError: a triangle is not a face of the scene (a miss, for one).
+        """
+        if bad := int(((triangle < 0) | (triangle >= len(self.faces))).sum()):
+            raise ValueError(f"triangle (n,) must index {len(self.faces)} faces: {bad} do not")
+        colour = self.interpolated(self.colours, triangle, barycentric)
+        region = self.face_region[triangle]
+        for index, texture in enumerate(r.texture for r in self.regions):
+            rows = torch.nonzero(region == index)[:, 0]
+            if texture is not None and self.uv is not None and len(rows):
+                at = self.interpolated(self.uv, triangle[rows], barycentric[rows])
+                colour = colour.index_copy(0, rows, mesh.sample_texture(texture, at))
+        return colour
+
+
+def _bounds(vertices: Tensor) -> tuple[Tensor, float]:
+    centre = (vertices.amin(0) + vertices.amax(0)) / 2
+    return centre, float((vertices - centre).norm(dim=1).max())

@@ -1,0 +1,216 @@
+"""Scene files: a few lines of TOML that place meshes and simple shapes, and give them materials.
+
+    environment = "hdri/uffizi.hdr"
+    hidden = false                            # drop triangles that see no way out, as those inside of a machine
+    [camera]                                  # optional; as `Camera`
+    eye = [0.3, 0.3, 0.9]
+    target = [0, 0.1, 0]
+    fov = 40                                  # also up, width, height
+    [[region]]
+    name = "bunny"
+    mesh = "meshes/bunny.ply"                 # or one of plane, sphere, box, torus
+    parts = ["ear"]                           # of a glTF file; default: all that it holds
+    scale = 10.0                              # then
+    rotate = [0, 30, 0]                       # degrees about the world's x, then y, then z axis, then
+    translate = [0, 0, 0]
+    subdivide = 0                             # times: each triangle in four, without smoothing
+    edge = 0.1                                # after placing: longer edges are halved; light is kept at vertices
+    editable = true
+    texture = "spot_texture.png"              # sRGB image over the mesh's own uv
+    material = { model = "blinn-phong", diffuse = [0.5, 0.5, 0.5], specular = 0.1, exponent = 20 }
+    [[region]]
+    name = "floor"
+    plane = { size = 4.0, cells = 64 }
+
+Files are looked for beside the TOML file, then in the folder that the environment variable PTT_DATA names. A
+mesh keeps its own material where `material` is left out; a region of parts whose materials differ needs one.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import os
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor
+
+from ptt.light.environment import Environment
+from ptt.materials import material as materials
+from ptt.ops import mesh
+from ptt.ops.sphere import turn
+from ptt.scene.camera import Camera
+from ptt.scene.hidden import without_hidden
+from ptt.scene.mesh_files import read_parts, read_texture
+from ptt.scene.parts import Part, join, transformed
+from ptt.scene.scene import Scene
+
+T = TypeVar("T")
+SHAPES: dict[str, Callable[..., tuple[Tensor, Tensor]]] = {
+    "plane": mesh.plane_mesh,
+    "sphere": mesh.sphere_mesh,
+    "box": mesh.box_mesh,
+    "torus": mesh.torus_mesh,
+}
+MOST = 10_000_000  # triangles
+PLACING = ("scale", "rotate", "translate")
+REGION = ("name", "mesh", *SHAPES, "parts", *PLACING, "subdivide", "edge", "editable", "texture", "material")
+
+
+def load_scene(path: str | PathLike[str]) -> Scene:
+    """The scene in a mesh file (.ply, .obj, .stl, .gltf, .glb; `ptt.scene.mesh_files`) or in a .toml file.
+
+    Raises:
+        ValueError: the file is missing, of another kind, unreadable, or what it holds is not a scene; a TOML file has
+            an unknown key: the message lists the valid ones.
+    """
+    path = Path(path)
+    return _load_toml(path) if path.suffix.lower() == ".toml" else Scene.from_parts(read_parts(path))
+
+
+def _load_toml(path: Path) -> Scene:
+    if not path.is_file():
+        raise ValueError(f"path must be an existing file, got {path}")
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"path must be a TOML file: {path}: {error}") from error
+    _known(path.name, table, ("environment", "hidden", "camera", "region"))
+    if not isinstance(table.get("region"), list):
+        raise ValueError(f"{path.name} must hold at least one [[region]]")
+    environment, camera = None, None
+    if "environment" in table:
+        environment = Environment.load(find(table["environment"], path.parent))
+    if "camera" in table:
+        camera = _call("camera", Camera, table["camera"])
+    scene = Scene.from_parts([_region(t, path.parent) for t in table["region"]], environment, camera)
+    return scene if _typed(table, "hidden", bool, True) else without_hidden(scene)
+
+
+def find(name: str, folder: Path) -> Path:
+    """The file `name` in `folder`, else under $PTT_DATA.
+
+    Raises:
+        ValueError: it is in neither.
+    """
+    tried = [folder / name] + ([Path(os.environ["PTT_DATA"]) / name] if "PTT_DATA" in os.environ else [])
+    for path in tried:
+        if path.is_file():
+            return path
+    raise ValueError(f"no file {name!r}, beside the TOML file or in $PTT_DATA: {', '.join(map(str, tried))}")
+
+
+def _region(table: Mapping[str, Any], folder: Path) -> Part:
+    _known("region", table, REGION)
+    if not isinstance(table.get("name"), str):
+        raise ValueError(f"region must have a name, got {table.get('name')!r}")
+    name: str = table["name"]
+    try:
+        part = replace(_geometry(table, folder), name=name, editable=_typed(table, "editable", bool, True))
+        for _ in range(_typed(table, "subdivide", int, 0)):
+            part = _subdivided(part)
+        part = transformed(part, _matrix(**{k: table[k] for k in PLACING if k in table}))
+        return _fine_enough(part, float(table["edge"])) if "edge" in table else part
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"region {name!r}: {error}") from error
+
+
+def _geometry(table: Mapping[str, Any], folder: Path) -> Part:
+    material = materials.from_config(table["material"]) if "material" in table else None
+    sources = [key for key in ("mesh", *SHAPES) if key in table]
+    if len(sources) != 1:
+        raise ValueError(f"region must have one of mesh, {', '.join(SHAPES)}, got {sources or 'none'}")
+    source = sources[0]
+    if source != "mesh" and "parts" in table:
+        raise ValueError(f"parts needs a mesh, got {source}")
+    if source == "mesh":
+        parts = _chosen(read_parts(find(table["mesh"], folder)), table.get("parts"))
+    else:
+        parts = [Part(source, *_call(source, SHAPES[source], table[source]))]
+    if material is not None:
+        parts = [replace(part, material=material) for part in parts]
+    part = join(table["name"], parts)
+    return replace(part, texture=read_texture(find(table["texture"], folder))) if "texture" in table else part
+
+
+def _chosen(parts: list[Part], names: list[str] | None) -> list[Part]:
+    _known("parts", names or (), [part.name for part in parts])
+    return parts if names is None else [part for part in parts if part.name in names]
+
+
+def _matrix(scale: float = 1.0, rotate: Iterable[float] = (0, 0, 0), translate: Iterable[float] = (0, 0, 0)) -> Tensor:
+    """(4, 4) float64: scale, then turn about x, y and z [degrees], then move."""
+    if not (isinstance(scale, int | float) and math.isfinite(scale) and scale > 0):
+        raise ValueError(f"scale must be one positive number, got {scale}")
+    matrix = torch.eye(4, dtype=torch.float64)
+    matrix[:3, :3] *= scale
+    for axis, degrees in enumerate(_three("rotate", rotate)):
+        matrix[:3] = turn(axis, degrees) @ matrix[:3]
+    matrix[:3, 3] = torch.tensor(_three("translate", translate), dtype=torch.float64)
+    return matrix
+
+
+def _three(name: str, value: Iterable[float]) -> list[float]:
+    numbers = [float(x) for x in value]
+    if len(numbers) != 3:
+        raise ValueError(f"{name} must be three numbers, got {value}")
+    return numbers
+
+
+def _fine_enough(part: Part, edge: float) -> Part:
+    """No edge longer than that."""
+    if not edge > 0:
+        raise ValueError(f"edge must be > 0, got {edge}")
+    while True:
+        corners = part.vertices[part.faces]
+        long = (corners - corners.roll(-1, 1)).norm(dim=2) > edge
+        if not bool(long.any()):
+            return part
+        if len(part.faces) + int(long.sum()) > MOST:
+            raise ValueError(f"edge = {edge:g} makes more than {MOST} triangles; take a longer one")
+        part = _subdivided(part, long)
+
+
+def _subdivided(part: Part, cut: Tensor | None = None) -> Part:
+    mesh.check_mesh(part.vertices, part.faces)
+    faces, edges = mesh.subdivide(part.faces, len(part.vertices), cut)
+
+    def finer(values: Tensor) -> Tensor:
+        return torch.cat([values, values[edges].mean(1)])
+
+    return replace(
+        part,
+        vertices=finer(part.vertices),
+        faces=faces,
+        normals=None if part.normals is None else finer(part.normals),
+        uv=None if part.uv is None else finer(part.uv),
+        colours=None if part.colours is None else finer(part.colours),
+    )
+
+
+def _typed(table: Mapping[str, Any], key: str, kind: type[T], default: T) -> T:
+    value = table.get(key, default)
+    if type(value) is not kind:
+        raise ValueError(f"{key} must be of type {kind.__name__}, got {value!r}")
+    return value
+
+
+def _known(place: str, keys: Iterable[str], valid: Iterable[str]) -> None:
+    names = list(valid)
+    if unknown := [key for key in keys if key not in names]:
+        raise ValueError(f"{place}: unknown {', '.join(map(repr, unknown))}; valid are {', '.join(names)}")
+
+
+def _call(place: str, make: Callable[..., T], table: Mapping[str, Any]) -> T:
+    """make(**table), refusing arguments that it does not have, or whose values are of the wrong kind."""
+    _known(place, table, inspect.signature(make).parameters)
+    try:
+        return make(**table)
+    except TypeError as error:
+        raise ValueError(f"{place}: {error}") from error

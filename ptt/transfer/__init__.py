@@ -1,0 +1,1 @@
+"""Scene -> raw transfer (rays) -> tensors of every point -> clusters: all that is done once, before relighting."""

@@ -1,0 +1,243 @@
+"""Transfer of all points -> eigen-points of clusters, region by region (Sun et al. 2007, section 4.3).
+
+1. Features of a point: T0, T1 and T2, weighted by what they add to the picture under natural light, on a few hundred
+   common directions.
+2. Clusters and their eigen-points are found there (`ops.cpca`) and lifted back.
+3. The lighting axis of every cluster is reduced once more (Tucker, on the modes of points and lighting).
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from ptt.models.clustered_transfer import LOBES, STORAGE, WIDTH, ClusteredTransfer, in_blocks
+from ptt.models.indirect import ORDER
+from ptt.models.transfer_model import TransferModel
+from ptt.ops import cpca
+from ptt.ops.octahedral import tiles
+from ptt.ops.sphere import Cube
+from ptt.transfer.assembly import ALWAYS, Transfer, natural
+
+SKETCH = 256  # common directions of the features
+PROBES = 2048  # points that decide those
+STEPS = (8, 16, 24, 32, 48, 64)  # eigenvectors that are tried for an error
+RANK = 1e-6  # of the eigenvectors, relative
+
+
+@dataclass(frozen=True)
+class Clusters:
+    """How points share eigen-points.
+
+    points: of a cluster, on average; the paper has 1,000
+    eigenvectors: of each cluster: the paper's 32
+    lighting: of each cluster, dimensions in which indirect light is lit: the paper's 64
+    columns: coefficients of T0 of each cluster
+    storage: float32, float16 or bfloat16, of T0, T1 and T2
+    bytes: of all clusters together; when given, `points` follows from it
+    error: relative, of the features in L2; when given, `eigenvectors` follows from it, region by region
+
+    Raises:
+        ValueError: a number below 1, an error outside of (0, 1), another storage, or both bytes and error.
+    """
+
+    points: int = 250
+    eigenvectors: int = 32
+    lighting: int = 64
+    columns: int = 512
+    storage: torch.dtype = torch.bfloat16
+    bytes: float | None = None
+    error: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.bytes is not None and self.error is not None:
+            raise ValueError("bytes and error exclude each other: error decides the eigenvectors, and so the bytes")
+        if min(self.points, self.eigenvectors, self.lighting, self.columns) < 1:
+            raise ValueError(f"points, eigenvectors, lighting and columns must be at least 1, got {self}")
+        if self.storage not in STORAGE.values():
+            raise ValueError(f"storage must be one of {', '.join(STORAGE)}, got {self.storage}")
+        if self.error is not None and not 0 < self.error < 1:
+            raise ValueError(f"error must satisfy 0 < error < 1, got {self.error}")
+
+
+def cluster(transfer: Transfer, clusters: Clusters = Clusters(), *, progress: bool = False) -> TransferModel:
+    """The compressed model: the clustered transfer of every region.
+
+    Raises:
+        ValueError: fewer bytes than one cluster a region needs, or an error that the most eigenvectors do not meet.
+    """
+    own = transfer.raw.receivers
+    regions = [_Region(transfer, r) for r in range(len(own.names))]
+    if clusters.bytes is not None:
+        clusters = replace(clusters, points=_points_for(clusters, regions))
+    found = []
+    with tqdm(total=len(own), desc="clusters", unit=" points", disable=not progress) as bar:
+        for region in regions:
+            found.append(region.compressed(clusters))
+            bar.update(region.points)
+    raw, error = transfer.raw, transfer.direct.error
+    return TransferModel(own, transfer.brdf, transfer.basis, raw.resolution, raw.bounces, None, found, error)
+
+
+def _points_for(clusters: Clusters, regions: list[_Region]) -> int:
+    """The fewest points of a cluster with which all clusters together have no more than the bytes."""
+    assert clusters.bytes is not None
+    limit, most = clusters.bytes, max(1, *(region.points for region in regions))
+
+    def bytes_(points: int) -> int:
+        return sum(_count(region.points, points) * region.bytes(clusters) for region in regions)
+
+    if bytes_(most) > limit:
+        raise ValueError(f"bytes must be at least {bytes_(most)}, one cluster a region, got {limit:g}")
+    return 1 + bisect_left(range(1, most + 1), True, key=lambda points: bytes_(points) <= limit)
+
+
+class _Region:
+    """The transfer to the points first..end of one region, from the slots and pairs that light them.
+
+    glossy: whether it may show lobes
+    """
+
+    def __init__(self, transfer: Transfer, region: int) -> None:
+        own = transfer.raw.receivers
+        first, end = own.spans[region]
+        self.transfer, self.first, self.end = transfer, first, end
+        shape = own.materials[own.names[region]].shape
+        self.glossy = bool(transfer.brdf.angles) and (own.editable[region] or shape is not None)
+        one, two = transfer.indirect.one[first:end], transfer.indirect.two[first:end]
+        lit = one.abs().amax((0, 2, 3)) > 0 if one.numel() else torch.zeros(0)
+        again = two.abs().amax((0, 3)) > 0 if two.numel() else torch.zeros(0, 0)
+        self.slots, self.pairs = torch.nonzero(lit)[:, 0], torch.nonzero(again)
+
+    @property
+    def points(self) -> int:
+        """Of the region."""
+        return self.end - self.first
+
+    def bytes(self, clusters: Clusters) -> int:
+        """Of one cluster."""
+        indirect, factors = self.transfer.indirect, self.transfer.direct.coarse.shape[1]
+        m, n = min(clusters.columns, Cube(self.transfer.raw.resolution).cells), self._lighting(clusters)
+        each = factors * m + len(self.slots) * ORDER**2 * n + len(self.pairs) * indirect.two.shape[3]
+        return clusters.eigenvectors * each * clusters.storage.itemsize + 8 * m + 4 * n * indirect.axes.shape[1]
+
+    def _lighting(self, clusters: Clusters) -> int:
+        """Dimensions of a cluster's own lighting: none where no slot needs it."""
+        return min(clusters.lighting, len(self.transfer.indirect.axes)) if len(self.slots) else 0
+
+    def compressed(self, clusters: Clusters) -> ClusteredTransfer:
+        """By CPCA of the features."""
+        x = self._sketch()
+        if clusters.error is not None:
+            clusters = replace(clusters, eigenvectors=_eigenvectors_for(x, clusters))
+        e = clusters.eigenvectors
+        labels = _labels(x, clusters.points, e)
+        combination, made = torch.zeros(len(x), e), []
+        for k in range(int(labels.max()) + 1 if len(x) else 1):
+            at = torch.nonzero(labels == k)[:, 0]
+            q, r = torch.linalg.qr((x[at] @ cpca.basis(x[at], e).T).double())
+            full = r.diagonal().abs() > RANK * r.diagonal().norm()
+            combination[at, : q.shape[1]] = (q * full).float() * math.sqrt(len(at))
+            made.append(self._lifted(at, combination[at] / max(len(at), 1), clusters))
+        columns, t0, lighting, t1, t2 = (torch.stack(parts) for parts in zip(*made, strict=True))
+        cluster, place = in_blocks(labels, self.transfer.raw.receivers.frames[self.first : self.end, 2])
+        weights = torch.zeros(len(cluster) * WIDTH, e).index_copy(0, place, combination)
+        return ClusteredTransfer(
+            self.slots.tolist(),
+            self.pairs.tolist(),
+            cluster=cluster,
+            place=place,
+            weights=weights.unflatten(0, (-1, WIDTH)).transpose(1, 2).contiguous(),
+            columns=columns,
+            direct=t0.to(clusters.storage),
+            lighting=lighting,
+            one=t1.to(clusters.storage),
+            two=t2.to(clusters.storage),
+            cuts=self._cuts(place, len(cluster)),
+        )
+
+    def _cuts(self, place: Tensor, blocks: int) -> Tensor:
+        if not self.glossy:
+            return torch.zeros(blocks * WIDTH, 0, dtype=torch.int32)
+        cuts = self.transfer.cuts[self.first : self.end]
+        bytes_ = torch.zeros(blocks * WIDTH, cuts.shape[1], LOBES, dtype=torch.uint8)
+        bytes_[place[:, None], tiles(math.isqrt(cuts.shape[1])), : cuts.shape[2]] = cuts
+        return bytes_.view(torch.int32).squeeze(2)
+
+    def _sketch(self) -> Tensor:
+        """Features (v, r) on common directions."""
+        rows = torch.arange(self.points)
+        probes = rows[torch.randperm(len(rows), generator=torch.Generator().manual_seed(0))[:PROBES].sort().values]
+        directions = cpca.basis(self._features(probes), min(SKETCH, len(probes)))
+        return torch.cat([self._features(part) @ directions.T for part in rows.split(512)])
+
+    def _features(self, rows: Tensor) -> Tensor:
+        weights = self.transfer.weights
+        t0 = self.transfer.direct.coarse[rows + self.first] * weights.factors[:, None] * weights.light
+        t1, t2 = self._indirect(rows)
+        t1 = t1 * weights.one(self.slots)
+        t2 = t2 * (weights.slots[self.pairs].prod(1)[:, None] * weights.harmonics[0])
+        return torch.cat((t0.flatten(1), t1.flatten(1), t2.flatten(1)), 1)
+
+    def _indirect(self, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """T1 (v, q, s, l') and T2 (v, pairs, l'') of some points."""
+        one, two, _, scale = self.transfer.indirect
+        rows = rows + self.first
+        again = two[rows][:, self.pairs[:, 0], self.pairs[:, 1]]
+        return one[rows][:, self.slots].float() / scale, again.float() / scale
+
+    def _lifted(self, rows: Tensor, combination: Tensor, clusters: Clusters) -> tuple[Tensor, ...]:
+        """Columns, T0, lighting, T1 and T2 of the eigen-points that combinations (v, e) of points make."""
+        weights, axes = self.transfer.weights, self.transfer.indirect.axes
+        t1, t2 = self._indirect(rows)
+        t1 = torch.einsum("ve,vqsl->eqsl", combination, t1)
+        weighed = (t1 * weights.one(self.slots)).flatten(0, 2).double()
+        own = torch.linalg.eigh(weighed.T @ weighed).eigenvectors.flip(1)[:, : self._lighting(clusters)].float()
+        t1, t2 = (t1 @ own).permute(3, 1, 0, 2), torch.einsum("ve,vpl->lpe", combination, t2)
+        return *self._lifted_direct(rows, combination, clusters), axes.T @ own, t1.flatten(1), t2.flatten(1)
+
+    def _lifted_direct(self, rows: Tensor, combination: Tensor, clusters: Clusters) -> tuple[Tensor, Tensor]:
+        """The columns that matter most, and T0 (m, e * (1 + i)) there."""
+        direct, grid = self.transfer.direct, Cube(self.transfer.raw.resolution)
+        factors, index = direct.coarse.shape[1], direct.indices[rows + self.first].long()
+        t0 = torch.zeros(factors * grid.cells, combination.shape[1])
+        values = direct.values[rows + self.first][..., None] * combination[:, None]
+        t0 = t0.index_add_(0, index.flatten(), values.flatten(0, 1)).unflatten(0, (factors, grid.cells))
+        energy = (t0.square().sum(2) * self.transfer.weights.factors[:, None].square()).sum(0)
+        weighed = energy * natural(grid, ALWAYS).square()
+        columns = weighed.topk(min(clusters.columns, grid.cells)).indices.sort().values
+        return columns, t0[:, columns].permute(1, 2, 0).flatten(1)
+
+
+def _labels(x: Tensor, points: int, eigenvectors: int) -> Tensor:
+    if not len(x):
+        return torch.zeros(0, dtype=torch.int64)
+    return cpca.cluster(x, _count(len(x), points), eigenvectors)
+
+
+def _count(points: int, each: int) -> int:
+    return max(1, round(points / each))
+
+
+def _eigenvectors_for(x: Tensor, clusters: Clusters) -> int:
+    """The fewest that leave no more than the error."""
+    assert clusters.error is not None
+    whole, left = float(x.square().sum()), 0.0
+    for e in STEPS:
+        labels, left = _labels(x, clusters.points, e), 0.0
+        for k in range(int(labels.max()) + 1 if len(x) else 0):
+            own = x[labels == k]
+            caught = own @ cpca.basis(own, e).T
+            left += max(0.0, float(own.square().sum() - caught.square().sum()))
+        if left <= clusters.error**2 * whole:
+            return e
+    reached = math.sqrt(left / whole)
+    raise ValueError(
+        f"error must be at least {reached:.3g} with {STEPS[-1]} eigenvectors and {clusters.points} points a cluster, "
+        f"got {clusters.error:g}: fewer points reach less"
+    )

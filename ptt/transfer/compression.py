@@ -1,0 +1,60 @@
+"""Raw transfer -> compressed model: what of T0, T1 and T2 a scene, its materials and the accuracy require."""
+
+from __future__ import annotations
+
+from ptt.materials.spaces import BRDFSpace
+from ptt.models.brdf_basis import BRDFBasis
+from ptt.models.tensor_brdf import TensorBRDF
+from ptt.models.transfer_model import SparseTransfer, TransferModel
+from ptt.ops.haar import Truncated
+from ptt.ops.sphere import Cube
+from ptt.transfer.assembly import assemble, direct_light
+from ptt.transfer.clustering import Clusters, cluster
+from ptt.transfer.raw import RawTransfer
+
+RANKS = (4, 16, 16)  # BRDF, outgoing and incident factors
+LOBES = 3
+
+
+def compress(
+    raw: RawTransfer,
+    coefficients: int | None = 96,
+    brdf: TensorBRDF | None = None,
+    basis: BRDFBasis | None = None,
+    clusters: Clusters | None = Clusters(),  # noqa: B008 (frozen)
+    *,
+    max_memory: float = 10e9,
+    progress: bool = False,
+) -> TransferModel:
+    """Transfer to every point, as far as the scene and the accuracy require.
+
+    coefficients: Haar coefficients of T0 kept, on average over a point's factors; None keeps all. 96 is the paper's
+    brdf: the materials that the model can show, as one reflects at the points; default: Blinn-Phong exponents 1..200
+        at ranks (4, 16, 16)
+    basis: the same space as light is reflected on its way; default: four functions and the diffuse one
+    clusters: how points share eigen-points; None keeps every point's own T0, for direct light alone and without lobes:
+        exact, but 10 to 100 times as large and as slow to light anew
+    max_memory: bytes that may be in use
+    progress: show bars with the rate and the time left
+
+    To try several `clusters` on the same transfer: `ptt.assemble` once, then `ptt.cluster`.
+
+    Raises:
+        ValueError: coefficients out of range, a basis of another space than brdf, indirect light or lobes without
+            clusters, or too little memory.
+
+    Sun et al. 2007, sections 3.3 and 4.3; Ng et al. 2003 for the weighting by area.
+    """
+    if clusters is None and raw.bounces:
+        raise ValueError("light that bounces needs clusters, got None")
+    brdf = brdf or TensorBRDF.fit(BRDFSpace.blinn_phong(), ranks=RANKS, separated=LOBES if clusters else 0)
+    if clusters is not None:
+        basis = basis or BRDFBasis.fit(brdf.space)
+        transfer = assemble(raw, brdf, basis, coefficients, max_memory=max_memory, progress=progress)
+        return cluster(transfer, clusters, progress=progress)
+    if brdf.angles:
+        raise ValueError("brdf must be fitted with separated=0: without clusters no lobes are shown")
+    direct = direct_light(raw, brdf, coefficients, progress)
+    largest = Truncated(direct.indices, direct.values)
+    sparse = SparseTransfer.of(largest, direct.coarse.shape[1], Cube(raw.resolution).cells)
+    return TransferModel(raw.receivers, brdf, None, raw.resolution, 0, sparse, [], direct.error)

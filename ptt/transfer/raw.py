@@ -1,0 +1,124 @@
+"""Scene -> raw transfer, block by block: all that needs rays, and nothing that depends on materials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from ptt.io import saved
+from ptt.models.receivers import Receivers
+from ptt.ops import transfer
+from ptt.ops.sphere import Cube
+from ptt.scene.scene import Scene
+
+BLOCK = 128  # points traced at once: about 1.5 million rays
+RAYS = 512  # over the hemisphere of a point, for what other surfaces send to it
+KIND = "raw transfer"
+
+
+@dataclass(frozen=True, eq=False)
+class RawTransfer:
+    """What `precompute` finds and `compress` reads.
+
+    receivers: v points
+    visible (v, cells / 8) uint8: packed bits, which of the 6 n n cells of the cube map each point sees
+    hits (v, rays) int32: which vertex each point sees in the directions of `transfer.gather_directions`; -1 for none
+    resolution: n, cells along an edge of the cube map
+    bounces: how many the hits serve for
+    """
+
+    receivers: Receivers
+    visible: Tensor
+    hits: Tensor
+    resolution: int
+    bounces: int
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write a safetensors file."""
+        config = {
+            "resolution": self.resolution,
+            "bounces": self.bounces,
+            "rays": self.hits.shape[1],
+            **self.receivers.config(),
+        }
+        saved.save(path, KIND, config, {"visible": self.visible, "hits": self.hits, **self.receivers.tensors()})
+
+    def part(self, rows: slice) -> RawTransfer:
+        """Some of the receivers, for direct light: the others, which they may see, are left out."""
+        return RawTransfer(self.receivers.part(rows), self.visible[rows], self.hits[rows, :0], self.resolution, 0)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> RawTransfer:
+        """Read what `save` wrote.
+
+        Raises:
+            ValueError: the file is missing, damaged or not a raw transfer; the message names what is wrong.
+        """
+        config, tensors = saved.load(path, KIND)
+        with saved.describing(path):
+            v, cells = len(tensors.get("positions", ())), 6 * config["resolution"] ** 2
+            expected = {"visible": (torch.uint8, (v, (cells + 7) // 8)), "hits": (torch.int32, (v, config["rays"]))}
+            saved.check(tensors, {**expected, **Receivers.expected(config)})
+            hits = tensors["hits"]
+            if hits.numel() and not -1 <= int(hits.min()) <= int(hits.max()) < v:
+                raise ValueError(f"holds wrong hits: must be in -1..{v - 1}, got {int(hits.min())}..{int(hits.max())}")
+            receivers = Receivers.restore(config, tensors)
+            return cls(receivers, tensors["visible"], hits, config["resolution"], config["bounces"])
+
+
+def precompute(
+    scene: Scene,
+    bounces: int = 0,
+    *,
+    resolution: int = 64,
+    rays: int = RAYS,
+    index: Tensor | None = None,
+    progress: bool = False,
+) -> RawTransfer:
+    """What every vertex of a scene sees: of the cube map, and, for indirect light, of the other vertices.
+
+    bounces: reflections before the last one that the model shall show: 0 for direct light, 1 or 2
+    resolution: cells along an edge of the cube map, a power of two; the paper has 64
+    rays: over the hemisphere of each vertex, for indirect light
+    index (v,): vertices to keep, ascending; default all. For direct light alone
+    progress: show a bar with the rate and the time left
+
+    Takes about 12,000 rays a vertex at 64: 2 ms on two cores; a bounce adds 0.2 ms.
+
+    Raises:
+        ValueError: resolution is not a power of two from 2 to 128, bounces not 0, 1 or 2, rays < 16, or index is not
+            ascending vertex numbers or comes with bounces.
+
+    Sun et al. 2007, sections 3.3 and 4.3.
+    """
+    if resolution not in (2, 4, 8, 16, 32, 64, 128):
+        raise ValueError(f"resolution must be a power of two from 2 to 128, got {resolution}")
+    if bounces not in (0, 1, 2) or rays < 16:
+        raise ValueError(f"bounces must be 0, 1 or 2 and rays at least 16, got {bounces} and {rays}")
+    if index is not None and bounces:
+        raise ValueError("index serves direct light alone: light that bounces needs every vertex")
+    receivers = Receivers.of(scene, _checked(index, len(scene.vertices)))
+    directions = Cube(resolution).directions().reshape(-1, 3)
+    local = transfer.gather_directions(rays if bounces else 0)
+    random = torch.Generator().manual_seed(0)
+    visible, hits = [], []
+    with tqdm(total=len(receivers), desc="rays", unit=" points", disable=not progress) as bar:
+        for positions, frames in zip(receivers.positions.split(BLOCK), receivers.frames.split(BLOCK), strict=True):
+            visible.append(transfer.visibility(scene.surface, positions, frames[:, 2], directions))
+            u = torch.rand(len(positions), len(local), generator=random)
+            hits.append(transfer.gather(scene.surface, scene.faces, positions, frames, local, u))
+            bar.update(len(positions))
+    return RawTransfer(receivers, torch.cat(visible), torch.cat(hits), resolution, bounces)
+
+
+def _checked(index: Tensor | None, vertices: int) -> Tensor | None:
+    if index is None:
+        return None
+    index = torch.as_tensor(index)
+    if not len(index) or bool((index.diff() <= 0).any()) or index[0] < 0 or index[-1] >= vertices:
+        raise ValueError(f"index must hold ascending numbers of the scene's {vertices} vertices")
+    return index

@@ -1,0 +1,298 @@
+"""The kernels against the plain functions."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import threading
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from ptt.light.prefiltered import samples
+from ptt.ops import native, relight
+from ptt.ops import view as plain
+from ptt.ops.native import kernels
+from ptt.ops.native.relight import STORED
+from ptt.ops.relight import Arriving, Responses, Sent
+from ptt.ops.sphere import Cube, turn
+from ptt.ops.view import Gloss, Points, Seen, light_about
+
+W, TILTS = 32, 20
+Inputs = tuple[list[Seen], Tensor]
+
+
+def inputs(
+    k: int = 2, s: int = 16, o: int = 8, b: int = 3, distant: bool = False, turns: int = 1, white: bool = False
+) -> Inputs:
+    g = torch.Generator().manual_seed(1000 * k + 100 * s + 10 * o + b)
+    n = b * W
+    frame = rotations(n, g).permute(1, 2, 0).contiguous()
+    cuts = torch.randint(-(2**31), 2**31, (n, 64), generator=g).int()
+    place = torch.randperm(n, generator=g)[: n - 5]
+    colour = None if white else torch.rand(3, n, generator=g)
+    points = Points(torch.randn(3, n, generator=g), frame, colour, cuts, place)
+    eye = torch.nn.functional.normalize(torch.randn(3, n, generator=g), dim=0) if distant else torch.ones(3)
+    rho, axes = torch.rand(turns * TILTS, k, generator=g), 0.1 + torch.rand(TILTS, 2 * k, generator=g)
+    maps = torch.rand(k, 12 * 12, 4, generator=g)
+    which = torch.randperm(4, generator=g)[:k]
+    turn, blurs = rotations(1, g)[0].contiguous(), torch.rand(k, s, generator=g)
+    gloss = Gloss(which, rho, axes, torch.rand(3, generator=g), maps, turn, blurs) if k else None
+    sent = Sent(torch.randn(b, 3, o + s, W, generator=g).half(), torch.rand(b, generator=g))
+    return [Seen(points, eye, sent, gloss)], torch.randn(14 * 14, o - 1, generator=g)
+
+
+def rotations(n: int, g: torch.Generator) -> Tensor:
+    rotation: Tensor = torch.linalg.qr(torch.randn(n, 3, 3, generator=g))[0]
+    return rotation
+
+
+def double(x: Inputs) -> Inputs:
+    regions, outgoing = x
+    return [in_double(region) for region in regions], outgoing.double()
+
+
+def in_double(region: Seen) -> Seen:
+    points, eye, sent, gloss = region
+    if gloss is not None:
+        gloss = Gloss(*(t.double() if isinstance(t, Tensor) and t.is_floating_point() else t for t in gloss))
+    colour = None if points.colour is None else points.colour.double()
+    points = points._replace(position=points.position.double(), frame=points.frame.double(), colour=colour)
+    return Seen(points, eye.double(), Sent(*(t.double() for t in sent)), gloss)
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """One entry for each call of the plain function by `native.view`."""
+    made: list[int] = []
+    original = plain.view
+
+    def counted(*args: object) -> Tensor:
+        made.append(1)
+        return original(*args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(plain, "view", counted)
+    return made
+
+
+def agree(x: Inputs, calls: list[int]) -> None:
+    got = native.view(*x)
+    assert not calls  # by the kernel
+    expected = plain.view(*double(x))  # tables of noise: float32 rounds where they are looked up
+    calls.clear()
+    assert got.shape == expected.shape and got.dtype == torch.float32
+    assert torch.allclose(got.double(), expected, rtol=2e-5, atol=2e-5 * float(expected.abs().max()))
+
+
+@pytest.mark.parametrize("distant", [False, True])
+@pytest.mark.parametrize("s", [0, 16])
+@pytest.mark.parametrize("k", range(5))
+def test_agrees_for_all_lobes(built: None, calls: list[int], k: int, s: int, distant: bool) -> None:
+    agree(inputs(k, s, distant=distant, white=distant), calls)
+
+
+@pytest.mark.parametrize("b", [1, 7])
+@pytest.mark.parametrize("o", [1, 8, 16, 24])
+def test_agrees_for_all_sizes(built: None, calls: list[int], o: int, b: int) -> None:
+    agree(inputs(o=o, b=b), calls)
+
+
+def test_agrees_where_directions_are_special(built: None, calls: list[int]) -> None:
+    (region,), outgoing = inputs(k=4, distant=True)
+    tangent, bitangent, normal = region.points.frame
+    for eye in (normal, -normal, tangent, bitangent, -tangent, -bitangent):  # head-on, facing away, at the horizon
+        agree(([region._replace(eye=eye.contiguous())], outgoing), calls)
+
+
+def test_agrees_for_several_regions(built: None, calls: list[int]) -> None:
+    regions = [region for k, b in ((4, 2), (0, 5), (2, 1)) for region in inputs(k, 16 if k else 0, b=b)[0]]
+    agree((regions, inputs()[1]), calls)
+
+
+def test_a_point_at_the_eye_is_finite(built: None) -> None:
+    (region,), outgoing = inputs(k=4)
+    region = region._replace(eye=region.points.position[:, 5].contiguous())
+    assert native.view([region], outgoing).isfinite().all()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda x: x._replace(sent=x.sent._replace(unit=x.sent.unit.clone().requires_grad_())),
+        lambda x: x._replace(points=x.points._replace(frame=x.points.frame.transpose(0, 1))),
+        lambda x: inputs(turns=2)[0][0],
+    ],
+    ids=["gradient", "strided", "anisotropic"],
+)
+def test_what_the_kernel_is_not_for_goes_the_plain_way(calls: list[int], change: Callable[[Seen], Seen]) -> None:
+    (region,), outgoing = inputs()
+    x = [region, change(region)], outgoing
+    got = native.view(*x)
+    assert calls == [1] and torch.equal(got, plain.view(*x))
+
+
+def test_float64_goes_the_plain_way(calls: list[int]) -> None:
+    x = double(inputs())
+    got = native.view(*x)
+    assert calls == [1] and torch.equal(got, plain.view(*x))
+
+
+def test_without_lobes_there_is_no_light_about_them() -> None:
+    assert light_about(torch.zeros(0, 12 * 12, 4), torch.zeros(5, 0, 3)).shape == (5, 0, 3)
+
+
+def test_gradients_pass() -> None:
+    (region,), outgoing = inputs()
+    values = region.sent.values.float().requires_grad_()
+    native.view([region._replace(sent=region.sent._replace(values=values))], outgoing).sum().backward()
+    assert values.grad is not None and values.grad.isfinite().all()
+
+
+def test_without_gradients_a_parameter_goes_by_the_kernel(built: None, calls: list[int]) -> None:
+    x = inputs()
+    x[1].requires_grad_()
+    with torch.no_grad():
+        agree(x, calls)
+
+
+# The light step and the BRDF step
+
+
+@pytest.fixture
+def alone(built: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plain functions are not there for those of `native` to call."""
+    for name in ("lighting", "light_eigen", "eigen", "expand"):
+        monkeypatch.setattr(relight, name, None)
+
+
+PLAIN = relight.lighting, relight.light_eigen, relight.eigen, relight.expand
+
+
+def close(got: Tensor, expected: Tensor, tolerance: float = 2e-6) -> None:
+    assert got.shape == expected.shape and got.dtype == torch.float32
+    largest = float(expected.abs().max()) if expected.numel() else 0.0
+    assert torch.allclose(got.double(), expected.double(), rtol=0, atol=tolerance * largest)
+
+
+@pytest.mark.parametrize("n", [4, 16, 32])
+def test_lighting_agrees(alone: None, n: int) -> None:
+    g, grid = torch.Generator().manual_seed(n), Cube(n)
+    fine = torch.rand(32 * 32, 4, generator=g)
+    turned = (turn(1, 40.0) @ turn(0, 25.0)).float()
+    directions, shares = samples(grid)
+    strided = directions.transpose(0, 2).contiguous().transpose(0, 2)
+    arguments = fine, turned.T.contiguous().T, strided, shares, grid.shape
+    close(native.lighting(*arguments), PLAIN[0](*arguments), 1e-5)
+
+
+@pytest.mark.parametrize("stored", STORED)
+@pytest.mark.parametrize(("k", "rows", "x"), [(1, 1, 1), (3, 7, 37), (2, 20, 128), (2, 5, 300), (0, 4, 8), (2, 0, 8)])
+def test_light_eigen_agrees(alone: None, stored: torch.dtype, k: int, rows: int, x: int) -> None:
+    g = torch.Generator().manual_seed(x)
+    transfer = torch.randn(k, rows, x, generator=g).to(stored)
+    columns = torch.randint(0, 50, (k, rows), generator=g)
+    exact = transfer.double()
+    for lighting in (torch.randn(k, 3, rows, generator=g), torch.randn(3, rows, generator=g)):
+        expected = lighting.double() @ exact
+        close(native.light_eigen(transfer, lighting), expected.expand(k, 3, x))
+    lighting = torch.randn(3, 50, generator=g)
+    close(native.light_eigen(transfer, lighting, columns), PLAIN[1](exact, lighting.double(), columns))
+
+
+def arriving(k: int, e: int, i: int, q: int, p: int) -> tuple[Arriving, Tensor, Tensor, Tensor, Responses]:
+    g = torch.Generator().manual_seed(k + e + i + q + p)
+    shapes = ((k, 3, e, i), (k, 3, q, e, 16), (k, 3, p, e), (3, q), (3, p), (3, i + 2, i), (16, i), (16, 16))
+    *three, h, pairs, coupling, a, b = (torch.randn(shape, generator=g) for shape in shapes)
+    return Arriving(*three), h, pairs, coupling, Responses(a, b)
+
+
+@pytest.mark.parametrize("glossy", [True, False])
+@pytest.mark.parametrize(
+    "sizes", [(1, 1, 1, 1, 0), (2, 7, 9, 4, 6), (3, 32, 17, 10, 75), (2, 5, 9, 0, 3), (2, 5, 9, 0, 0)]
+)
+def test_eigen_agrees(alone: None, sizes: tuple[int, ...], glossy: bool) -> None:
+    x = arriving(*sizes)
+    exact = [type(t)(*(s.double() for s in t)) if isinstance(t, tuple) else t.double() for t in x]
+    close(native.eigen(*x, glossy), PLAIN[2](*exact, glossy), 1e-5)
+
+
+@pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])
+@pytest.mark.parametrize(
+    ("k", "e", "x", "b"), [(1, 1, 1, 1), (2, 8, 25, 3), (3, 32, 33, 7), (2, 5, 12, 4), (1, 2, 3, 0)]
+)
+def test_expand_agrees(alone: None, k: int, e: int, x: int, b: int, size: float) -> None:
+    g = torch.Generator().manual_seed(x)
+    eigen, weights = size * torch.randn(k, 3, e, x, generator=g), torch.randn(b, e, 128, generator=g)
+    cluster = torch.randint(0, k, (b,), generator=g)
+    sent, expected = native.expand(eigen, weights, cluster), PLAIN[3](eigen.double(), weights.double(), cluster)
+    values = sent.values.double() * sent.unit[:, None, None, None]
+    assert values.isfinite().all() and sent.values.dtype == torch.float16
+    values = values.unflatten(0, (b, 8)).permute(0, 2, 3, 1, 4).flatten(3)
+    assert torch.allclose(values, expected.values, rtol=6e-4, atol=3e-6 * size)
+
+
+def test_expand_of_nothing_is_nothing(alone: None) -> None:
+    sent = native.expand(torch.zeros(1, 3, 4, 5), torch.ones(1, 4, 128), torch.zeros(1, dtype=torch.int64))
+    assert sent.values.count_nonzero() == 0 and sent.unit.isfinite().all()
+
+
+def test_gradients_go_the_plain_way() -> None:
+    leaves = []
+
+    def leaf(x: Tensor) -> Tensor:
+        leaves.append(x.requires_grad_())
+        return x
+
+    x = arriving(2, 3, 5, 2, 1)
+    sent = native.eigen(x[0], leaf(x[1]), *x[2:], True)
+    spread = native.expand(sent, torch.ones(2, 3, 128), torch.tensor([0, 1]))
+    lit = native.light_eigen(torch.ones(1, 3, 2), leaf(torch.ones(3, 3)))
+    light = native.lighting(leaf(torch.ones(64, 4)), torch.eye(3), *samples(Cube(4)), Cube(4).shape)
+    (spread.values.sum() + lit.sum() + light.sum()).backward()
+    assert all(t.grad is not None and t.grad.isfinite().all() for t in leaves)
+
+
+# Building
+
+
+@pytest.mark.parametrize("failure", ["missing", "broken"])
+def test_no_compiler_is_one_warning(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, failure: str) -> None:
+    def missing() -> str:
+        raise RuntimeError("none here")
+
+    compiler = missing if failure == "missing" else lambda: "false"
+    monkeypatch.setattr("torch._inductor.cpp_builder.get_cpp_compiler", compiler)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    kernels.library.cache_clear()
+    x = inputs()
+    try:
+        with pytest.warns(UserWarning, match="no C\\+\\+ compiler, relighting stays eager: .+"):
+            first = native.view(*x)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert torch.equal(native.view(*x), first) and torch.equal(plain.view(*x), first)
+            assert not native.available()
+    finally:
+        kernels.library.cache_clear()
+
+
+def test_builds_at_the_same_time_are_safe(built: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    barrier, made = threading.Barrier(2), []
+
+    def run(*command: str) -> str:
+        if "-shared" in command:
+            barrier.wait()  # both have found no library
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+    monkeypatch.setattr(kernels, "_run", run)
+    threads = [threading.Thread(target=lambda: made.append(kernels._build(tmp_path))) for _ in range(2)]
+    for t in threads:
+        t.start()
+    for t in threads:
+        t.join()
+    assert len(made) == 2 and made[0] == made[1] and os.listdir(tmp_path) == [made[0].name]
+    assert kernels._build(tmp_path) == made[0]  # which finds it: the barrier would hold a second build for ever
