@@ -70,7 +70,8 @@ def right(
             ours = relighter(light, materials, scene.camera)[rows]
             found[key] = ours, ours - direct[key](light, materials, scene.camera)[rows]
         for key, (ours, bounced) in found.items():
-            what, goals = f"{name}, {light_name}, {kind}, {key}", GOALS[key] if smooth else ("", "")
+            what = f"{name}, {light_name}, {kind}, {key}"
+            goals = GOALS[key] if smooth else ("", "")
             table.row(f"{what}, total", ptt.relative_rmse(ours, whole), "relative RMSE", how, goals[0])
             table.row(f"{what}, indirect", ptt.relative_rmse(bounced, indirect), "relative RMSE", how, goals[1])
 
@@ -119,7 +120,8 @@ def pictures(
     states = {"rough": ("uffizi", "rough"), "moderate": ("grace", "moderate"), "sun": ("courtyard", "moderate")}
     strips = []
     for light_name, kind in states.values():
-        light, materials = lights[light_name], dressed(scene, case.materials()[kind])
+        light = lights[light_name]
+        materials = dressed(scene, case.materials()[kind])
         images = [ptt.render(scene, camera, r(light, materials, camera), light).pixels for r in relighters]
         truth = ptt.reference.image(scene, light, materials, camera, samples=128, bounces=2).mean.float()
         gain = 2.0 ** ptt.Image(images[-1]).exposure()
@@ -141,12 +143,14 @@ def caustic(name: str) -> list[dict[str, str]]:
     light = ptt.Environment.area_light((-0.8, 0.75, -0.2), 12.0, 30.0)
     raw = ptt.precompute(scene, 2, progress=True)
     space = ptt.BRDFSpace.blinn_phong()
-    brdf, basis = ptt.TensorBRDF.fit(space, ranks=(8, 40, 40), separated=4), ptt.BRDFBasis.fit(space)
+    brdf = ptt.TensorBRDF.fit(space, ranks=(8, 40, 40), separated=4)
+    basis = ptt.BRDFBasis.fit(space)
     transfer = ptt.assemble(raw, brdf, basis, 96, progress=True)
     model = ptt.cluster(transfer, OWN, progress=True)
     seams(table, scene, light, model, ptt.cluster(transfer, replace(OWN, points=100, eigenvectors=96, columns=4096)))
     relighters = [ptt.TransferRelighter(without_bounces(model, most)) for most in range(3)]
-    strips, bounced = [], []
+    strips = []
+    bounced = []
     for kind, material in (("shiny", ptt.blinn_phong(0.1, 0.8, 60.0)), ("dull", ptt.blinn_phong(0.5, 0.1, 4.0))):
         materials = dressed(scene, material)
         radiance = [r(light, materials, camera) for r in relighters]

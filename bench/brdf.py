@@ -82,12 +82,15 @@ def energy(table: Table, quick: bool) -> None:
         "GGX": ((f"F0 {f:g}, roughness {r:g}", ptt.GGX(f, r)) for f, r in product((0.0, 0.04, 0.5, 1.0), widths)),
     }
     for model, shapes in models.items():
-        best, where, over = 0.0, "", 0
+        best = 0.0
+        where = ""
+        over = 0
         for parameters, shape in shapes:
             values = albedo(shape.evaluate, wo, turns=48 if shape.isotropic else 160)
             over += int(values.max() > 1.001)
             if float(values.max()) > best:
-                best, where = float(values.max()), f"{parameters}, {tilts[int(values.argmax())]:g} degrees"
+                best = float(values.max())
+                where = f"{parameters}, {tilts[int(values.argmax())]:g} degrees"
         how = f"at {where}; above 1.001 at {over} of the parameters tried; ops.albedo"
         table.row(f"largest albedo, {model}", best, "", how, "" if model == "Cook-Torrance" else "<= 1.001")
 
@@ -129,14 +132,16 @@ def sweep(tensor: Tensor, heights: Sequence[int], terms: Sequence[int]) -> Itera
 
 def figure_6(table: Table, light: ptt.Environment, pixels: int, samples: int, pictures: bool) -> None:
     """Spheres with 0 to 4 lobes beside the path tracer, under uffizi."""
-    space, sphere = ptt.BRDFSpace.fitted(), Sphere(pixels)
+    space = ptt.BRDFSpace.fitted()
+    sphere = Sphere(pixels)
     truths = [sphere.truth(space.material(name), light, samples) for name in MATERIALS]
     rows = [[sphere.picture(truth.mean)] for truth in truths]
     gains = [0.4 / float(truth.mean.mean()) for truth in truths]
     for ranks, counts in (((4, 8, 8), range(5)), ((6, 16, 16), (4,)), ((6, 40, 40), (4,))):
         for count in counts:
             fit = ptt.TensorBRDF.fit(space, ranks, separated=count)
-            incident, mirrored = sphere.incident(fit, light), sphere.mirrored(fit, light)
+            incident = sphere.incident(fit, light)
+            mirrored = sphere.mirrored(fit, light)
             for k, (name, truth) in enumerate(zip(MATERIALS, truths, strict=True)):
                 relit = sphere.relit(fit, space.material(name), incident, mirrored)
                 noise = float(truth.standard_error.norm() / truth.mean.norm())
@@ -224,7 +229,8 @@ def against_tensorly(table: Table, samples: tuple[Shape, ...], quick: bool) -> N
 def editing(table: Table) -> None:
     """What an edit costs: tensor, lobes and indirect basis of the fitted space."""
     space = ptt.BRDFSpace.fitted()
-    tensor, indirect = ptt.TensorBRDF.fit(space, (4, 8, 8), separated=4), ptt.BRDFBasis.fit(space)
+    tensor = ptt.TensorBRDF.fit(space, (4, 8, 8), separated=4)
+    indirect = ptt.BRDFBasis.fit(space)
     steps = iter(range(10**9))
     how = f"core, lobe tables and basis; {setting()}"
 

@@ -158,7 +158,8 @@ def speed(table: Table, data: Path, stride: int) -> None:
     """What each step costs on the bunny, beside the bytes it reads at the measured bandwidth."""
     scene = ptt.load_scene(data / "meshes" / "bunny.ply")
     light = ptt.Environment.load(data / "hdri" / "uffizi.hdr")
-    bandwidth, how = read_bandwidth(), setting()
+    bandwidth = read_bandwidth()
+    how = setting()
     table.row("read bandwidth", bandwidth / 1e9, "GB/s", f"sum of 400 MB; {how}")
     index = torch.arange(0, len(scene.vertices), stride)
     start = time.perf_counter()
@@ -173,7 +174,8 @@ def speed(table: Table, data: Path, stride: int) -> None:
     table.row("T0 and its compression", (done - traced) / v * 1e3, "ms/vertex", f"25 factors, 96 coefficients; {how}")
     table.row("model", model.bytes / v, "bytes/vertex", "25 factors, 96 coefficients")
 
-    camera, name = scene.camera, scene.regions[0].name
+    camera = scene.camera
+    name = scene.regions[0].name
     glossy = ptt.blinn_phong(0.3, 0.4, 20.0)
     for compiled in (False, True):
         relighter = ptt.TransferRelighter(model, compiled=compiled)
@@ -189,7 +191,9 @@ def speed(table: Table, data: Path, stride: int) -> None:
         def lighting(r: ptt.TransferRelighter = relighter, steps: Iterator[int] = STEPS) -> Tensor:
             return r(light.rotated(y=next(steps)), {name: glossy}, camera)
 
-        form, o, i = "compiled" if compiled else "eager", 25, 25
+        form = "compiled" if compiled else "eager"
+        o = 25
+        i = 25
         for what, function, read in (
             ("view", view, 4 * v * (3 * o + 12 + o)),
             ("BRDF", brdf, 4 * v * (3 * i + 3 * o)),

@@ -34,7 +34,8 @@ def steps(
     relighter: ptt.TransferRelighter, scene: ptt.Scene, light: ptt.Environment, material: ptt.Material
 ) -> dict[str, Callable[[], Tensor]]:
     """A frame after a change of the view; of that, a colour and a shape; of those and of the light."""
-    camera, materials = scene.camera, dressed(scene, material)
+    camera = scene.camera
+    materials = dressed(scene, material)
     edited = next(r.name for r in scene.regions if r.editable)
     assert material.shape is not None
     name, value = list(shapes.parameters(material.shape).items())[-1]
@@ -64,7 +65,8 @@ def speed(
     models: Mapping[str, ptt.TransferModel],
 ) -> None:
     """Table 1's three columns, beside the bytes that must be read at the measured bandwidth."""
-    bandwidth, how = read_bandwidth(), setting()
+    bandwidth = read_bandwidth()
+    how = setting()
     table.row(f"{name}, read bandwidth", bandwidth / 1e9, "GB/s", f"sum of 400 MB; {how}")
     for key, model in models.items():
         for compiled in (False, True):
@@ -122,7 +124,8 @@ def step_times(
     camera: ptt.Camera,
 ) -> dict[str, float]:
     """Seconds of each step alone; the BRDF step with a material that changes every time."""
-    steps, eye = relighter.steps, torch.tensor(camera.eye)
+    steps = relighter.steps
+    eye = torch.tensor(camera.eye)
     lit = steps.incident(light)
     sent = steps.exitant(lit, materials)
 
@@ -155,9 +158,11 @@ def slope(points: Sequence[tuple[float, float]]) -> float:
 
 def growth(table: Table) -> None:
     """Eight balls on a floor: cost as their vertices grow in number, and as they are cut into more regions."""
-    light, material = ptt.Environment.sun_sky(radius=10.0), ptt.blinn_phong(0.3, 0.4, 24.0)
+    light = ptt.Environment.sun_sky(radius=10.0)
+    material = ptt.blinn_phong(0.3, 0.4, 24.0)
     space = ptt.BRDFSpace.blinn_phong()
-    brdf, basis = ptt.TensorBRDF.fit(space, ranks=(4, 16, 16), separated=3), ptt.BRDFBasis.fit(space)
+    brdf = ptt.TensorBRDF.fit(space, ranks=(4, 16, 16), separated=3)
+    basis = ptt.BRDFBasis.fit(space)
     clusters = ptt.Clusters(points=250, eigenvectors=32, lighting=64)
 
     def times(scene: ptt.Scene) -> dict[str, float]:
@@ -184,11 +189,16 @@ def balls(fineness: int, regions: int, material: ptt.Material) -> ptt.Scene:
 
 def naive(table: Table, name: str, transfer: Any, points: int = 500) -> None:
     """The same frame as dense einsums, point by point, without clusters: a sample of points, scaled up."""
-    one, two = transfer.indirect.one, transfer.indirect.two
-    t1, t2, t0 = one[:points].float(), two[:points].float(), transfer.direct.coarse[:points]
+    one = transfer.indirect.one
+    two = transfer.indirect.two
+    t1 = one[:points].float()
+    t2 = two[:points].float()
+    t0 = transfer.direct.coarse[:points]
     light, coarsest, fine = (torch.rand(n, 3) for n in (t1.shape[3], t2.shape[3], t0.shape[2]))
-    h, m = torch.rand(t1.shape[1], 3), torch.rand(3, t0.shape[1], t0.shape[1])
-    c, outgoing = torch.rand(t1.shape[2], t0.shape[1]), torch.rand(points, t0.shape[1])
+    h = torch.rand(t1.shape[1], 3)
+    m = torch.rand(3, t0.shape[1], t0.shape[1])
+    c = torch.rand(t1.shape[2], t0.shape[1])
+    outgoing = torch.rand(points, t0.shape[1])
 
     def frame() -> Tensor:
         arriving = torch.einsum("vqsl,lc,qc->vsc", t1, light, h)

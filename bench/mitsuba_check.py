@@ -62,7 +62,8 @@ def mitsuba_scene(scene: Scene, environment: Environment) -> Any:
 def mitsuba_light(environment: Environment) -> dict[str, Any]:
     """The same function on the sphere as an `envmap`."""
     mi.set_variant("scalar_rgb")
-    height, width = environment.map.shape[0] * 2 + 1, environment.map.shape[1]
+    height = environment.map.shape[0] * 2 + 1
+    width = environment.map.shape[1]
     theta = torch.arange(height, dtype=torch.float64)[:, None] * (math.pi / (height - 1))
     theta = theta.clamp(1e-6, math.pi - 1e-6)  # at the poles themselves a direction has no column
     phi = (torch.arange(width, dtype=torch.float64) + 0.5) * (2 * math.pi / width)
@@ -82,7 +83,8 @@ def mitsuba_radiance(
     path = mi.load_dict({"type": "path", "max_depth": bounces + 2, "rr_depth": 1 << 20})
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed)
-    means, errors = [], []
+    means = []
+    errors = []
     for origin, direction in zip(origins.tolist(), directions.tolist(), strict=True):
         ray = mi.RayDifferential3f(mi.Point3f(origin), mi.Vector3f(direction))
         values = np.array([path.sample(target, sampler, ray)[0] for _ in range(samples)], dtype=np.float64)

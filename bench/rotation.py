@@ -101,7 +101,8 @@ def turns(light: ptt.Environment) -> Iterator[ptt.Environment]:
 def table_2(table: Table, sizes: Sequence[int], light: ptt.Environment, normals: int) -> None:
     """Time to form, bytes, non-zeros a row and light changes a second against N; and the law of their growth."""
     times: dict[str, list[float]] = {"matrix": [], "factored": [], "resample": []}
-    rows, bandwidth = [], read_bandwidth()
+    rows = []
+    bandwidth = read_bandwidth()
     how = f"{normals} x {normals} normals, three channels; {setting()}"
     for n in sizes:
         seconds, megabytes, nonzeros, rate = PAPER[n]
@@ -155,7 +156,8 @@ def views(table: Table, scenes: dict[str, ptt.Scene], light: ptt.Environment, n:
         v = len(scene.vertices)
         for kind, options in OPTIONS.items():
             relighter = ptt.EnvMapRelighter(scene, rotate, **options)  # type: ignore[arg-type]
-            camera, lit = iter(cameras), turns(light)
+            camera = iter(cameras)
+            lit = turns(light)
             took = median_seconds(lambda: relighter(light, given, next(camera)), 15)  # noqa: B023
             kept = next(iter(options.values()))
             read = v * (4 * kept * 4 + 100)
@@ -186,12 +188,11 @@ def views(table: Table, scenes: dict[str, ptt.Scene], light: ptt.Environment, n:
 
 def forms(table: Table, scene: ptt.Scene, light: ptt.Environment, n: int) -> None:
     """The view step as plain torch, by torch.compile with its blocks opened, and as a kernel."""
-    relighter, shape = (
-        ptt.EnvMapRelighter(scene, ptt.LightRotation.build(n, 32)),
-        ptt.fitted("gold-metallic-paint").shape,
-    )
+    relighter = ptt.EnvMapRelighter(scene, ptt.LightRotation.build(n, 32))
+    shape = ptt.fitted("gold-metallic-paint").shape
     assert shape is not None and scene.camera is not None
-    at, cut = relighter.placed[0].at, relighter._slices(shape)
+    at = relighter.placed[0].at
+    cut = relighter._slices(shape)
     args = relighter.incident(light).local, cut, slices.first_slice(cut, at.twist), relighter.rotation.frames, at
 
     def whole(
@@ -201,7 +202,8 @@ def forms(table: Table, scene: ptt.Scene, light: ptt.Environment, n: int) -> Non
         values = cut.values[which].float() * at.weights[..., None]
         return (values[..., None] * local[at.near[..., None].long(), cut.terms[which].long()]).sum((0, 2))
 
-    eye, how = torch.tensor(scene.camera.eye), f"{len(scene.vertices)} vertices, {relighter.terms} terms; {setting()}"
+    eye = torch.tensor(scene.camera.eye)
+    how = f"{len(scene.vertices)} vertices, {relighter.terms} terms; {setting()}"
     exact = native.reflected(*args, eye)
     for name, step in {
         "eager": slices.reflected,

@@ -51,7 +51,8 @@ class Body:
         body = cls(name, scene, index, {}, {})
         points = reference.Points(*(x[index] for x in reference.vertex_points(scene)))
         for material in (*GLOSSY, DULL):
-            given, wo = body.dressed(material), scene.camera.toward(points.position)
+            given = body.dressed(material)
+            wo = scene.camera.toward(points.position)
             estimate = reference.unshadowed(scene, light, given, points, wo, samples=samples)
             body.truth[material] = estimate.mean
             body.noise[material] = float(estimate.standard_error.norm() / estimate.mean.norm())
@@ -95,7 +96,8 @@ def table_1(table: Table, bodies: Sequence[Body], light: ptt.Environment, n: int
     for threshold, (error, megabytes) in TRUNCATED.items():
         rotate = ptt.LightRotation.build(n, normals, operator="matrix", threshold=threshold)
         lit = torch.nn.functional.pad(coefficients(light, n), (0, 0, 0, 0, 0, 1))
-        what, how = f"table 1, threshold {threshold}", f"N {n}^2, {normals} x {normals} normals; {setting()}"
+        what = f"table 1, threshold {threshold}"
+        how = f"N {n}^2, {normals} x {normals} normals; {setting()}"
         table.row(f"{what}, size", rotate.bytes / 1e6, "MB", how, paper=f"{megabytes} MB")
         table.row(f"{what}, light changes", 1 / median_seconds(lambda r=rotate, x=lit: r(x)), "1/s", how)  # type: ignore[misc]
         exact = ptt.LightRotation.build(n, normals)(lit)
@@ -111,7 +113,8 @@ def table_3(table: Table, bodies: Sequence[Body], light: ptt.Environment, n: int
         start = time.perf_counter()
         matrix = ptt.LightRotation.build(n, normals, operator="matrix")
         formed = time.perf_counter() - start
-        what, how = f"table 3, {normals}^2 normals", f"N {n}^2; {setting()}"
+        what = f"table 3, {normals}^2 normals"
+        how = f"N {n}^2; {setting()}"
         table.row(f"{what}, formed in", formed, "s", how, paper=f"{seconds} s")
         table.row(f"{what}, size", matrix.bytes / 1e6, "MB", how, paper=f"{megabytes} MB")
         del matrix
@@ -127,10 +130,13 @@ def same_direction(relighter: ptt.EnvMapRelighter, body: Body, light: ptt.Enviro
 
     The frame is leaned over to each normal, so that there are no seams where frames jump.
     """
-    given, camera, at = ptt.fitted(material), body.scene.camera, body.index
+    given = ptt.fitted(material)
+    camera = body.scene.camera
+    at = body.index
     assert camera is not None and given.shape is not None
     dull = relighter(light, {name: ptt.Material(given.diffuse) for name in body.scene.materials}, camera)[at]
-    normal, frames = body.scene.normals[at], relighter.rotation.frames
+    normal = body.scene.normals[at]
+    frames = relighter.rotation.frames
     where = slices.located(body.scene.points[at], body.scene.frames[at], frames)
     cut = slices.tabulate(given.shape.evaluate, relighter.rotation.m, relighter.views, relighter.terms)
     around = frames[where.near.long()]  # shape: (4, v, 3, 3)
@@ -149,7 +155,8 @@ def accuracy(table: Table, bodies: Sequence[Body], light: ptt.Environment, sizes
                 relighter = ptt.EnvMapRelighter(body.scene, ptt.LightRotation.build(n, 32))
                 value = body.error(relighter, light, material)
                 table.row(f"accuracy, N {n}^2, {body.name} {material}", value, "relative RMSE", "32 x 32 normals")
-    body, n = bodies[0], sizes[-2]
+    body = bodies[0]
+    n = sizes[-2]
     for samples in (1, 2, 4, 8):
         relighter = ptt.EnvMapRelighter(body.scene, ptt.LightRotation.build(n, 32, samples=samples))
         value = body.error(relighter, light, "nickel")
@@ -167,14 +174,16 @@ def small_lamps(table: Table, ball: ptt.Scene, light: ptt.Environment, counts: i
     for n in (64, 128):
         relighter = ptt.EnvMapRelighter(ball, ptt.LightRotation.build(n, 32))
         for material in (*GLOSSY, DULL):
-            value, noise = body.error(relighter, light, material), f"noise of the reference {body.noise[material]:.4f}"
+            value = body.error(relighter, light, material)
+            noise = f"noise of the reference {body.noise[material]:.4f}"
             table.row(f"grace, N {n}^2, sphere {material}", value, "relative RMSE", f"32 x 32 normals; {noise}")
 
 
 def figure_7(table: Table, lights: dict[str, ptt.Environment], n: int) -> None:
     """Rotated light from 128, 256, 2048 coefficients beside the rotation in space, and 128 of the result's own."""
     frames = rotation.frames_of(torch.randn(8, 3, generator=torch.Generator().manual_seed(7)))
-    rotate, m = ptt.LightRotation.build(n, frames=frames, operator="matrix"), n // 2
+    rotate = ptt.LightRotation.build(n, frames=frames, operator="matrix")
+    m = n // 2
     rows = []
     for name, light in lights.items():
         values = light.project(Octahedral(n))
@@ -214,7 +223,8 @@ def cuts(table: Table, bodies: Sequence[Body], light: ptt.Environment, n: int) -
                 else:
                     relighter = ptt.EnvMapRelighter(bodies[0].scene, rotate, rank=value)
                 cut = relighter._cut(shape, torch.device("cpu"))
-                seconds, what = time.perf_counter() - start, f"slices, {material}, {kind} {value}"
+                seconds = time.perf_counter() - start
+                what = f"slices, {material}, {kind} {value}"
                 table.row(f"{what}, size", cut.bytes / 1e6, "MB", f"128 x 128 views; made in {seconds:.2f} s")
                 error = bodies[0].error(relighter, light, material)
                 table.row(f"{what}, error", error, "relative RMSE", f"{bodies[0].name}, N {n}^2")
@@ -224,8 +234,10 @@ def anisotropic(table: Table, ball: ptt.Scene, light: ptt.Environment, quick: bo
     """A brushed sphere: the twists of a tangent that are sampled."""
     assert ball.camera is not None
     at = torch.nonzero((ball.camera.toward(ball.points) * ball.normals).sum(1) > 0.05)[:200, 0]
-    points, material = reference.Points(*(x[at] for x in reference.vertex_points(ball))), ptt.ward(0.0, 1.0, 0.1, 0.4)
-    given, wo = {"sphere": material}, ball.camera.toward(points.position)
+    points = reference.Points(*(x[at] for x in reference.vertex_points(ball)))
+    material = ptt.ward(0.0, 1.0, 0.1, 0.4)
+    given = {"sphere": material}
+    wo = ball.camera.toward(points.position)
     truth = reference.unshadowed(ball, light, given, points, wo, samples=256 if quick else 4096).mean
     rotate = ptt.LightRotation.build(32 if quick else 64, 32)
     for twists in (8, 16, 32, 64):

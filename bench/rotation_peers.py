@@ -67,7 +67,8 @@ def harmonics(
         if not order:
             table.row(f"peer, harmonics, {material}", math.inf, "1/s", f"no order up to {ORDERS[-1]} is as good; {how}")
             continue
-        coefficients, quarter = np.random.default_rng(0).random((3, 2, order, order)), djpi2(order - 1)
+        coefficients = np.random.default_rng(0).random((3, 2, order, order))
+        quarter = djpi2(order - 1)
         angles = Rotation.from_matrix(ours.frames.double().numpy()).as_euler("ZYZ")
 
         def rotate_all(c: np.ndarray = coefficients, dj: np.ndarray = quarter, angles: np.ndarray = angles) -> None:
@@ -85,17 +86,17 @@ def band_limited_error(body: Body, light: ptt.Environment, material: str, order:
     """Image error of a light that has only the harmonics below an order, all else by a fine quadrature."""
     from pyshtools.expand import MakeGridDH, SHExpandDH
 
-    camera, at, given = body.scene.camera, body.index[:200], ptt.fitted(material)
+    camera = body.scene.camera
+    at = body.index[:200]
+    given = ptt.fitted(material)
     assert camera is not None
     size = 256
     texels = sampled(light, size)
     spectra = (SHExpandDH(c, sampling=2, lmax_calc=order - 1) for c in texels)
     limited = np.stack([MakeGridDH(c, sampling=2, lmax=size // 2 - 1) for c in spectra])
     grid = HemiOctahedral(96)
-    wi, weight = (
-        grid.directions().reshape(-1, 3).float(),
-        (grid.solid_angles() * grid.directions()[..., 2]).flatten().float(),
-    )
+    wi = grid.directions().reshape(-1, 3).float()
+    weight = (grid.solid_angles() * grid.directions()[..., 2]).flatten().float()
     frames = rotation.frames_of(body.scene.normals[at])
     wo = torch.einsum("vax,vx->va", frames, camera.toward(body.scene.points[at]))
     images = []

@@ -31,14 +31,17 @@ def figure_1(scene: ptt.Scene, lights: dict[str, ptt.Environment]) -> None:
     """Four materials under two maps: relit per pixel, the reference without shadows, their difference times four."""
     assert scene.camera is not None
     camera = replace(scene.camera, width=320, height=240)
-    pixels, rotate = ptt.GBuffer.of(scene, camera), ptt.LightRotation.build(128, 32)
+    pixels = ptt.GBuffer.of(scene, camera)
+    rotate = ptt.LightRotation.build(128, 32)
     relighter = ptt.EnvMapRelighter(scene, rotate)
     shaded = ptt.EnvMapRelighter(scene, rotate, occlusion=ptt.ambient_occlusion(scene))
     region = scene.regions[0].name
     points = reference.Points(pixels.positions, pixels.frames, pixels.region, pixels.colours)
-    wo, columns = camera.toward(pixels.positions), []
+    wo = camera.toward(pixels.positions)
+    columns = []
     for name in MATERIALS:
-        given, strip = {region: ptt.fitted(name)}, []
+        given = {region: ptt.fitted(name)}
+        strip = []
         for light in lights.values():
             relit = relighter(light, given, pixels)
             truth = reference.unshadowed(scene, light, given, points, wo, samples=256).mean.float()

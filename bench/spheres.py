@@ -27,7 +27,8 @@ class Sphere:
         at = (2 * torch.arange(pixels) + 1) / pixels - 1
         y, x = torch.meshgrid(-at, at, indexing="ij")
         self.seen = x * x + y * y < 0.995
-        x, y = x[self.seen], y[self.seen]
+        x = x[self.seen]
+        y = y[self.seen]
         normal = torch.stack((x, y, (1 - x * x - y * y).sqrt()), 1)
         self.view = torch.tensor([0.0, 0.0, 1.0]).expand_as(normal)
         tangent = normalize(self.view - normal[:, 2:] * normal + 1e-6, dim=1)

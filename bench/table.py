@@ -71,7 +71,9 @@ def draw(text: str) -> str:
     """Markdown with the tables between its markers drawn anew."""
 
     def table(match: re.Match[str]) -> str:
-        kind, topic, prefix = match[1], match[2], match[3] or ""
+        kind = match[1]
+        topic = match[2]
+        prefix = match[3] or ""
         with (ROOT / "bench" / "results" / f"{topic}.csv").open() as file:
             rows = [row for row in csv.DictReader(file) if row["what"].startswith(prefix)]
         lines = (_listed(rows) if kind == "table" else _laid_out(rows, prefix)) if rows else ["not measured yet"]

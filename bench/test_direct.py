@@ -50,7 +50,9 @@ def hidden(scene: ptt.Scene, origins: torch.Tensor, directions: torch.Tensor) ->
         p = torch.linalg.cross(d.expand_as(a), c - a)
         scale = (p * (b - a)).sum(1)
         q = torch.linalg.cross(o - a, b - a)
-        u, v, t = ((o - a) * p).sum(1) / scale, (q @ d) / scale, (q * (c - a)).sum(1) / scale
+        u = ((o - a) * p).sum(1) / scale
+        v = (q @ d) / scale
+        t = (q * (c - a)).sum(1) / scale
         out.append(((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)).any())
     return torch.stack(out)
 
@@ -58,7 +60,8 @@ def hidden(scene: ptt.Scene, origins: torch.Tensor, directions: torch.Tensor) ->
 def test_visibility(benchmark: Any, scene: ptt.Scene) -> None:
     """128 vertices of the floor: about 1.5 million rays a round. The error is the share of 500 rays that differ."""
     middle = (scene.vertices[:, [0, 2]].norm(dim=1) + 9 * scene.vertex_region).argsort()[:128]
-    points, normals = scene.vertices[middle], scene.normals[middle]
+    points = scene.vertices[middle]
+    normals = scene.normals[middle]
     bits = benchmark(transfer.visibility, scene.surface, points, normals, DIRECTIONS)
     above = (normals.double() @ DIRECTIONS.T > 0).nonzero()
     pick = above[torch.randperm(len(above), generator=torch.Generator().manual_seed(0))[:500]].unbind(1)
@@ -89,7 +92,9 @@ def test_t0(benchmark: Any, scene: ptt.Scene, brdf: ptt.TensorBRDF) -> None:
 def test_relit_frame(benchmark: Any, scene: ptt.Scene, model: ptt.TransferModel, changed: str, compiled: bool) -> None:
     """One frame after a change; the error is against the same model in float64."""
     relighter = ptt.TransferRelighter(model, compiled=compiled)
-    light, camera, steps = scene.environment, scene.camera, iter(range(1_000_000))
+    light = scene.environment
+    camera = scene.camera
+    steps = iter(range(1_000_000))
     assert light is not None and camera is not None
 
     def frame() -> torch.Tensor:

@@ -33,7 +33,8 @@ def coefficients(n: int) -> torch.Tensor:
 @pytest.mark.parametrize("n", [32, 64])
 @pytest.mark.parametrize("operator", get_args(Operator))
 def test_change_of_light(benchmark: Any, operator: Operator, n: int) -> None:
-    rotate, light = ptt.LightRotation.build(n, 32, operator=operator), coefficients(n)
+    rotate = ptt.LightRotation.build(n, 32, operator=operator)
+    light = coefficients(n)
     benchmark.extra_info.update(setting=setting(), bytes=rotate.bytes)
     got = benchmark(lambda: rotate(light))
     assert ptt.relative_rmse(got, ptt.LightRotation.build(n, 32, compiled=False)(light)) < 1e-3
@@ -48,7 +49,8 @@ def test_build(benchmark: Any, operator: Operator) -> None:
 @pytest.mark.parametrize("kind", ["tabulate", "factorise"])
 def test_slices(benchmark: Any, kind: str) -> None:
     assert MATERIAL.shape is not None
-    make, f = getattr(slices, kind), MATERIAL.shape.evaluate
+    make = getattr(slices, kind)
+    f = MATERIAL.shape.evaluate
     cut = benchmark.pedantic(lambda: make(f, 32, 128, 64), rounds=3)
     whole = slices.tabulate(f, 32, 128, 1024).to_dense(1024)
     assert ptt.relative_rmse(cut.to_dense(1024), whole) < 0.1
@@ -60,7 +62,8 @@ def test_frame(benchmark: Any, scene: ptt.Scene, step: str, compiled: bool) -> N
     """10,000 vertices, 96 terms."""
     relighter = ptt.EnvMapRelighter(scene, ptt.LightRotation.build(64, 32, compiled=compiled))
     assert scene.camera is not None
-    given, turn = {"ball": MATERIAL}, iter(range(1, 100_000))
+    given = {"ball": MATERIAL}
+    turn = iter(range(1, 100_000))
     if step == "view":
         benchmark(lambda: relighter(LIGHT, given, scene.camera.orbited(next(turn))))
     else:

@@ -60,7 +60,8 @@ def test_frame(benchmark: Any, scene: ptt.Scene, level: int, storage: Storage) -
 
 @pytest.mark.parametrize("level", [1, 2])
 def test_change_of_light(benchmark: Any, scene: ptt.Scene, level: int) -> None:
-    relighter, angle = ptt.TripleProductRelighter(scene, level), 0.0
+    relighter = ptt.TripleProductRelighter(scene, level)
+    angle = 0.0
 
     def turned() -> torch.Tensor:
         nonlocal angle

@@ -68,7 +68,8 @@ def replace_rows(name: str, new: list[dict[str, str]]) -> None:
 def scene_rows(name: str) -> list[dict[str, str]]:
     """All rows of one scene."""
     warnings.simplefilter("ignore")
-    table, case = Table("transfer"), CASES[name]
+    table = Table("transfer")
+    case = CASES[name]
     scene = ptt.load_scene(CONFIGS / f"{name}.toml")
     data = Path(os.environ["PTT_DATA"]) / "hdri"
     lights = {key: ptt.Environment.load(data / file) for key, file in LIGHTS.items()}
@@ -146,7 +147,8 @@ def built(
         eigenvectors = model.clustered[0].eigenvectors
         dimensions = model.clustered[0].lighting.shape[2]
         how = f"{clusters} clusters, {eigenvectors} eigenvectors, {dimensions} lighting dimensions, bfloat16"
-        goal, said = f"<= {megabytes:g}", f"{megabytes:g} MB ({paper})"
+        goal = f"<= {megabytes:g}"
+        said = f"{megabytes:g} MB ({paper})"
         table.row(f"{name}, storage, {key}", model.bytes / 1e6, "MB", how, goal, paper=said)
         table.row(f"{name}, storage of lobes' visibility, {key}", _cuts(model) / 1e6, "MB", how)
     return raw, transfer, models
@@ -173,7 +175,8 @@ def stability(
     transfer: Any,
 ) -> None:
     """Lights a million times as dim and as bright, a sun in one texel, 16-bit storage, black regions."""
-    relighter, materials = ptt.TransferRelighter(model), dressed(scene, case.materials()["moderate"])
+    relighter = ptt.TransferRelighter(model)
+    materials = dressed(scene, case.materials()["moderate"])
 
     def of(environment: ptt.Environment) -> Tensor:
         return relighter(environment, materials, scene.camera)

@@ -49,7 +49,8 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="over a minute: a ball over a floor, written nowhere")
     quick = parser.parse_args().quick
     warnings.simplefilter("ignore")
-    table, data = Table("triple_quick" if quick else "triple"), Path(os.environ.get("PTT_DATA", ""))
+    table = Table("triple_quick" if quick else "triple")
+    data = Path(os.environ.get("PTT_DATA", ""))
     if not quick and not data.name:
         parser.error("set PTT_DATA to the folder with meshes and hdri")
     scenes = {"ball": on_floor(*mesh.sphere_mesh(3), 20)}
@@ -59,7 +60,8 @@ def main() -> None:
         loaded = {name: ptt.load_scene(data / "meshes" / file) for name, file in read.items()}
         scenes = {name: on_floor(scene.vertices, scene.faces, 100) for name, scene in loaded.items()}
         lights |= {name: ptt.Environment.load(data / "hdri" / f"{name}.hdr") for name in ("grace", "uffizi")}
-    bandwidth, peak = read_bandwidth(), products_per_second()
+    bandwidth = read_bandwidth()
+    peak = products_per_second()
     table.row("read bandwidth", bandwidth / 1e9, "GB/s", f"sum of 400 MB; {setting()}")
     table.row("products", peak / 1e9, "1/ns", f"of a float32 matrix product; {setting()}")
     for name, scene in scenes.items():
@@ -77,8 +79,10 @@ def main() -> None:
 
 def on_floor(vertices: Tensor, faces: Tensor, cells: int) -> ptt.Scene:
     """A mesh on a floor, looked at from the front and above."""
-    low, high = vertices.amin(0), vertices.amax(0)
-    size, middle = float((high - low).max()), (low + high) / 2
+    low = vertices.amin(0)
+    high = vertices.amax(0)
+    size = float((high - low).max())
+    middle = (low + high) / 2
     plane, squares = mesh.plane_mesh(3 * size, cells)
     below = torch.stack((middle[0], low[1], middle[2]))
     seen = ptt.Camera.framing(middle, 0.7 * size)
@@ -108,7 +112,8 @@ def frames(
             atlas = ptt.Atlas.of(scene, 64 if quick else 1024 >> (level - 1)) if kind == "texture" else None
             relighter = ptt.TripleProductRelighter(scene, level, atlas=atlas)
             n = relighter.grid.cells
-            what, how = f"table 3, {name}, {kind}, {n}", f"{len(relighter.visibility)} rows of visibility; {where}"
+            what = f"table 3, {name}, {kind}, {n}"
+            how = f"{len(relighter.visibility)} rows of visibility; {where}"
             table.row(f"{what}, built in", time.perf_counter() - start, "s", f"atlas and visibility; {how}")
             relighter(light, GIVEN, pixels)
 
@@ -195,13 +200,15 @@ def kept(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, quic
     """Storage in 8 and 16 bits and in float: bytes, frames a second, error against float."""
     assert scene.camera is not None
     camera = replace(scene.camera, width=96, height=72) if quick else replace(scene.camera, width=1024, height=768)
-    pixels, exact = ptt.GBuffer.of(scene, camera), None
+    pixels = ptt.GBuffer.of(scene, camera)
+    exact = None
     for storage in get_args(Storage):
         relighter = ptt.TripleProductRelighter(scene, 2, storage=storage)
         functions, coats, points = relighter.prepared(light, GIVEN, pixels)
         radiance = relighter(light, GIVEN, pixels)
         exact = radiance if exact is None else exact
-        what, how = f"storage, {name}, 320, {storage}", f"{len(pixels.pixel)} pixels; {setting()}"
+        what = f"storage, {name}, 320, {storage}"
+        how = f"{len(pixels.pixel)} pixels; {setting()}"
         table.row(f"{what}, light", functions.light.bytes / 1e6, "MB", how)
         table.row(f"{what}, BRDFs", functions.glossy.bytes / 1e6, "MB", f"two materials; {how}")
         table.row(f"{what}, visibility", functions.visibility.numel() / 1e6, "MB", f"8 bits, of vertices; {how}")
@@ -212,7 +219,8 @@ def kept(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, quic
 
 def extremes(table: Table, name: str, scene: ptt.Scene) -> None:
     """Dim and bright light, a sun of 1e9 in one texel."""
-    relighter, sky = ptt.TripleProductRelighter(scene, 1), ptt.Environment.sun_sky(radius=10.0)
+    relighter = ptt.TripleProductRelighter(scene, 1)
+    sky = ptt.Environment.sun_sky(radius=10.0)
     whole = relighter(sky, GIVEN, scene.camera)
     for factor in (1e-6, 1e6):
         error = ptt.relative_rmse(relighter(sky.scaled(factor), GIVEN, scene.camera) / factor, whole)
@@ -230,7 +238,8 @@ def coefficients(
     assert scene.camera is not None
     seen = ((scene.camera.toward(scene.points) * scene.normals).sum(1) > 0.1).nonzero()[:, 0]
     index = seen[torch.randperm(len(seen), generator=torch.Generator().manual_seed(0))[:some]]
-    frames, points = scene.frames[index], reference.Points(*(x[index] for x in reference.vertex_points(scene)))
+    frames = scene.frames[index]
+    points = reference.Points(*(x[index] for x in reference.vertex_points(scene)))
     toward = scene.camera.toward(points.position)
     grid = Geodesic(finest)
     visible = local.visibility(scene.surface, points.position, frames, grid, 2).float() / 255
@@ -243,7 +252,8 @@ def coefficients(
             noise = float(truth.standard_error.norm() / truth.mean.norm())
             three = [geodesic.analyse(x) for x in (local_light, visible[:, None].expand(-1, 3, -1), factor)]
             for level in range(finest + 1):
-                keep, what = 20 << 2 * level, f"figure 8, {light_name}, {kind}"
+                keep = 20 << 2 * level
+                what = f"figure 8, {light_name}, {kind}"
                 how = f"{name} on a floor, {some} vertices; noise of the reference {noise:.4f}"
                 cut = [haar.truncate(x.flatten(0, 1), keep, triple_pictures.weights(grid)) for x in three]
                 top = [triple.top_only(x, keep) for x in three]
@@ -261,10 +271,13 @@ def coefficients(
 
 def formulas(table: Table) -> None:
     """Table 1: global against local frames by the paper's formulas, one byte a number, RGB light."""
-    rotations, views, normals = 32 * 16 * 32, 128 * 64, 32 * 16
+    rotations = 32 * 16 * 32
+    views = 128 * 64
+    normals = 32 * 16
     for n in (5120, 320, 80):
         how = "without visibility; light in three channels, one material, one byte a number"
-        own, world = 3 * rotations * n + views * n, 3 * n + normals * views * n
+        own = 3 * rotations * n + views * n
+        world = 3 * n + normals * views * n
         table.row(f"table 1, {n} coefficients, local frames", own / 1e6, "MB", how)
         table.row(f"table 1, {n} coefficients, global frames", world / 1e6, "MB", how)
         frames = 22 * 22 * 32

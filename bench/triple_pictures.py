@@ -43,8 +43,10 @@ def all_figures(table: Table, data: Path) -> None:
 
 def on_table(scene: ptt.Scene, cells: int) -> ptt.Scene:
     """A mesh on a floor with texture coordinates."""
-    low, high = scene.vertices.amin(0), scene.vertices.amax(0)
-    size, middle = float((high - low).max()), (low + high) / 2
+    low = scene.vertices.amin(0)
+    high = scene.vertices.amax(0)
+    size = float((high - low).max())
+    middle = (low + high) / 2
     plane, squares = mesh.plane_mesh(2.4 * size, cells)
     uv = plane[:, [0, 2]] / (2.4 * size) * torch.tensor([1.0, -1.0]) + 0.5
     below = torch.stack((middle[0], low[1], middle[2]))
@@ -56,7 +58,8 @@ def on_table(scene: ptt.Scene, cells: int) -> ptt.Scene:
 def truth(scene: ptt.Scene, light: ptt.Environment, given: Materials, pixels: ptt.GBuffer) -> Tensor:
     """Radiance of pixels by the path tracer; of mixed materials, that of each, mixed."""
     points = reference.Points(pixels.positions, pixels.frames, pixels.region, pixels.colours)
-    wo, parts = pixels.camera.toward(pixels.positions), []
+    wo = pixels.camera.toward(pixels.positions)
+    parts = []
     for k in range(2):
         own = {name: (m.first, m.second)[k] if isinstance(m, ptt.Mixed) else m for name, m in given.items()}
         parts.append(reference.radiance(scene, light, own, points, wo, samples=SAMPLES).mean.float())
@@ -98,7 +101,8 @@ def under(
     lights: Mapping[str, ptt.Environment],
 ) -> None:
     """A figure of one scene under several lights, on 1280 triangles."""
-    relighter, strips = ptt.TripleProductRelighter(scene, 3), []
+    relighter = ptt.TripleProductRelighter(scene, 3)
+    strips = []
     for name, light in lights.items():
         exact = truth(scene, light, given, pixels)
         images = {name: relighter(light, given, pixels)}
@@ -113,7 +117,8 @@ def turned(light: ptt.Environment, *degrees: int) -> dict[str, ptt.Environment]:
 def figure_5(table: Table, scene: ptt.Scene, light: ptt.Environment) -> None:
     """Per vertex and per pixel, on a coarse mesh."""
     given = {"body": ptt.blinn_phong((0.25, 0.2, 0.15), 0.6, 60.0), "floor": ptt.lambert(0.5)}
-    relighter, pixels = ptt.TripleProductRelighter(scene, 3), ptt.GBuffer.of(scene, scene.camera)
+    relighter = ptt.TripleProductRelighter(scene, 3)
+    pixels = ptt.GBuffer.of(scene, scene.camera)
     per_vertex = pixels.interpolated(scene, relighter(light, given, scene.camera))
     images = {"per vertex": per_vertex, "per pixel": relighter(light, given, pixels)}
     save(5, [strip(table, "figure 5", pixels, images, truth(scene, light, given, pixels), light)])
@@ -130,7 +135,8 @@ def figure_6(table: Table) -> None:
         ball = Part("ball", body[0] + torch.tensor([0.0, 0.45, 0.0]), body[1], material=ptt.lambert(0.5))
         scene = ptt.Scene.from_parts([ball, floor], camera=camera)
         atlas = ptt.Atlas.of(scene, 512) if "texture" in name else None
-        relighter, pixels = ptt.TripleProductRelighter(scene, 3, atlas=atlas), ptt.GBuffer.of(scene, camera)
+        relighter = ptt.TripleProductRelighter(scene, 3, atlas=atlas)
+        pixels = ptt.GBuffer.of(scene, camera)
         images[name] = relighter(light, {}, pixels)
     save(6, [strip(table, "figure 6", pixels, images, truth(scene, light, scene.materials, pixels), light)])
 
@@ -161,7 +167,9 @@ def figure_7(table: Table, grace: ptt.Environment) -> None:
     camera = ptt.Camera((1.2, 1.6, 2.4), (0.0, 0.3, 0.0), fov=40, width=128, height=96)
     ball, faces = mesh.sphere_mesh(4, 0.5)
     parts = [Part("ball", ball + torch.tensor([0.0, 0.5, 0.0]), faces), Part("floor", *mesh.plane_mesh(3.0, 4))]
-    scene, grid, strips = ptt.Scene.from_parts(parts, camera=camera), Geodesic(4), []
+    scene = ptt.Scene.from_parts(parts, camera=camera)
+    grid = Geodesic(4)
+    strips = []
     pixels = ptt.GBuffer.of(scene, camera)
     seen = local.visibility(scene.surface, pixels.positions, pixels.frames, grid, 1)
     wo = torch.einsum("pax,px->pa", pixels.frames, camera.toward(pixels.positions))
@@ -190,7 +198,9 @@ def figure_7(table: Table, grace: ptt.Environment) -> None:
 
 def figure_9(table: Table, scene: ptt.Scene, light: ptt.Environment) -> None:
     """Exponents of 10, 40 and 160, on 1280 triangles."""
-    relighter, pixels, strips = ptt.TripleProductRelighter(scene, 3), ptt.GBuffer.of(scene, scene.camera), []
+    relighter = ptt.TripleProductRelighter(scene, 3)
+    pixels = ptt.GBuffer.of(scene, scene.camera)
+    strips = []
     for exponent in (10.0, 40.0, 160.0):
         given = {"body": ptt.blinn_phong((0.2, 0.15, 0.1), 0.6, exponent), "floor": ptt.lambert(0.4)}
         images = {f"exponent {exponent:g}": relighter(light, given, pixels)}

@@ -34,7 +34,8 @@ class Uncompressed:
         self, rows: Tensor, light: ptt.Environment, materials: Mapping[str, ptt.Material], eye: Tensor
     ) -> list[Tensor]:
         """Direct light, first and second bounce (v, 3) each, of the receivers of some rows (v,)."""
-        own, grid = self.raw.receivers, Cube(self.raw.resolution)
+        own = self.raw.receivers
+        grid = Cube(self.raw.resolution)
         texels = light.project(grid)
         lighting = haar.analyse(texels.movedim(-1, 0))[..., :COARSE, :COARSE].flatten(1).T
         paths = bounces.Bounces(self.raw, self.brdf, self.basis, self.t0, self.cuts)
@@ -49,7 +50,8 @@ class Uncompressed:
         wo = torch.einsum("vij,vj->vi", own.frames[rows], toward)
         to_factors = responses(self.brdf)
         filtered = paths.filtered(wo)
-        direct, mirrored = self._direct(rows, grid, texels.reshape(-1, 3)), self._mirrored(rows, wo, light)
+        direct = self._direct(rows, grid, texels.reshape(-1, 3))
+        mirrored = self._mirrored(rows, wo, light)
         shaded = [self._shade(rows, wo, materials, direct, mirrored)]
         for arriving in (one[rows], two):
             factors = torch.einsum("si,bsc->bic", to_factors, arriving)
@@ -57,7 +59,8 @@ class Uncompressed:
         return shaded
 
     def _direct(self, rows: Tensor, grid: Cube, texels: Tensor) -> Tensor:
-        directions, solid = grid.directions().reshape(-1, 3).float(), grid.solid_angles().flatten().float()
+        directions = grid.directions().reshape(-1, 3).float()
+        solid = grid.solid_angles().flatten().float()
         parts = []
         for some in rows.split(64):
             visible = transfer.unpack(self.raw.visible[some], grid.cells)
@@ -67,7 +70,8 @@ class Uncompressed:
 
     def _mirrored(self, rows: Tensor, wo: Tensor, light: ptt.Environment) -> Tensor:
         """Light (v, k, c) about the axes of the lobes times its fractional visibility."""
-        axes, each = lobes.lean(self.brdf.axes, wo), torch.arange(len(self.brdf.angles))
+        axes = lobes.lean(self.brdf.axes, wo)
+        each = torch.arange(len(self.brdf.angles))
         world = axes @ self.raw.receivers.frames[rows]
         seen = light_about(light_maps.light_maps(light, self.brdf.angles).blurred, world @ light.rotation.float())
         through = self.cuts[rows[:, None], HemiOctahedral(bounces.CUTS).cell(axes), each].float() / 255
@@ -76,12 +80,15 @@ class Uncompressed:
     def _shade(
         self, rows: Tensor, wo: Tensor, materials: Mapping[str, ptt.Material], incident: Tensor, mirrored: Tensor
     ) -> Tensor:
-        own, out = self.raw.receivers, torch.zeros(len(rows), 3)
+        own = self.raw.receivers
+        out = torch.zeros(len(rows), 3)
         for name, (first, end) in zip(own.names, own.spans, strict=True):
-            at, material = (rows >= first) & (rows < end), materials[name]
+            at = (rows >= first) & (rows < end)
+            material = materials[name]
             lit = material.diffuse / math.pi * own.colours[rows[at]] * incident[at, 0]
             if material.shape is not None:
-                matrix, outgoing = self.brdf.matrix(material.shape), self.brdf.outgoing(wo[at])
+                matrix = self.brdf.matrix(material.shape)
+                outgoing = self.brdf.outgoing(wo[at])
                 specular = torch.einsum("ov,oi,vic->vc", outgoing, matrix, incident[at, 1:])
                 if self.brdf.angles:
                     rho = lobes.lookup(self.brdf.lobe_tables(material.shape), wo[at])

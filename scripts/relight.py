@@ -98,7 +98,9 @@ def main() -> None:
 
     # relight, render, and judge
     config.out.mkdir(parents=True, exist_ok=True)
-    columns, report, stops = [], {}, config.exposure
+    columns = []
+    report = {}
+    stops = config.exposure
     for name, (environment, materials, view) in states.items():
         start = time.perf_counter()
         radiance = relighter(environment, materials, view)

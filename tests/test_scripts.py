@@ -70,7 +70,8 @@ def test_compress_to_a_size_for_another_space(run: Path) -> None:
 
 
 def test_relight_writes_pictures_and_errors(run: Path) -> None:
-    model, scene = run / "model.safetensors", run / "scene.toml"
+    model = run / "model.safetensors"
+    scene = run / "scene.toml"
     size = ("--width", 64, "--height", 48, "--samples", 64)
     out = script(
         "relight", "--model", model, "--scene", scene, "--environment", "sky", *size, "--out", run / "pictures"
@@ -88,7 +89,8 @@ def test_relight_writes_pictures_and_errors(run: Path) -> None:
 
 
 def test_evaluate_reports_each_region(run: Path) -> None:
-    model, scene = run / "model.safetensors", run / "scene.toml"
+    model = run / "model.safetensors"
+    scene = run / "scene.toml"
     script("evaluate", "--model", model, "--scene", scene, "--environment", "constant", "--samples", 256)
     result = json.loads((run / "evaluate.json").read_text())
     assert result["config"]["bounces"] == 2  # as the model was made for
@@ -131,7 +133,9 @@ def test_unknown_key_in_a_config(tmp_path: Path) -> None:
 
 def test_the_space_of_a_scene() -> None:
     """That of its own shapes; of several models none can be chosen."""
-    glossy, metal, brushed = ptt.blinn_phong(), ptt.cook_torrance(), ptt.ward(ax=0.1, ay=0.3)
+    glossy = ptt.blinn_phong()
+    metal = ptt.cook_torrance()
+    brushed = ptt.ward(ax=0.1, ay=0.3)
     for material, model in (
         (ptt.lambert(), "blinn-phong"),
         (glossy, "blinn-phong"),

@@ -76,8 +76,10 @@ def unwrapped(scene: Scene, size: int) -> Tensor:
     """(f, 3, 2) in 0..1: charts by xatlas, packed for so many texels, without overlap."""
     import xatlas
 
-    atlas, options = xatlas.Atlas(), xatlas.PackOptions()
-    options.padding, options.resolution = PADDING, size
+    atlas = xatlas.Atlas()
+    options = xatlas.PackOptions()
+    options.padding = PADDING
+    options.resolution = size
     atlas.add_mesh(scene.vertices.numpy(), scene.faces.numpy().astype("uint32"))
     atlas.generate(pack_options=options)
     _, faces, uv = atlas[0]

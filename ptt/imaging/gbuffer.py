@@ -53,12 +53,14 @@ class GBuffer:
         eye, directions = camera.rays()
         hits = scene.surface.first_hit(eye.expand(camera.width * camera.height, 3), directions.reshape(-1, 3))
         pixel = hits.front.nonzero()[:, 0]
-        triangle, barycentric = hits.triangle[pixel], hits.barycentric[pixel]
+        triangle = hits.triangle[pixel]
+        barycentric = hits.barycentric[pixel]
 
         def mixed(values: Tensor) -> Tensor:
             return scene.interpolated(values, triangle, barycentric)
 
-        region, uv = scene.face_region[triangle], None if scene.uv is None else mixed(scene.uv)
+        region = scene.face_region[triangle]
+        uv = None if scene.uv is None else mixed(scene.uv)
         frames = bent(scene, bumps or {}, scene.frames_at(triangle, barycentric), uv, region)
         colours = scene.albedo(triangle, barycentric)
         missed = hits.triangle < 0

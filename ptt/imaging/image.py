@@ -54,7 +54,8 @@ def render(
         raise ValueError(f"radiance must be finite, {tuple(scene.vertices.shape)}, got {tuple(radiance.shape)}")
     if antialias < 1:
         raise ValueError(f"antialias must be at least 1, got {antialias}")
-    height, width = camera.height, camera.width
+    height = camera.height
+    width = camera.width
     eye, directions = replace(camera, width=width * antialias, height=height * antialias).rays()
     rows = [
         _trace(scene, eye, part.flatten(0, 1), radiance, environment).reshape(-1, antialias, width, antialias, 3)

@@ -95,7 +95,9 @@ class Environment:
     ) -> Environment:
         """A uniform ground, and a sky whose radiance is linear in y from `horizon` to `zenith`."""
         height, width = _SIZE
-        top, edge, below = _colour("zenith", zenith), _colour("horizon", horizon), _colour("ground", ground)
+        top = _colour("zenith", zenith)
+        edge = _colour("horizon", horizon)
+        below = _colour("ground", ground)
         y = LatLong(height, 1).directions()[..., 1:2].float()
         rows = torch.where(y > 0, edge + (top - edge) * y, below)
         return cls(rows.expand(-1, width, -1).contiguous())
@@ -169,7 +171,8 @@ class Environment:
         or 2 % wherever it is. Where many lookups would be needed, the map is first halved, as long as a cell
         spans more than eight texels; that keeps the integral.
         """
-        spacing, light = float(grid.solid_angles().max().sqrt()), self
+        spacing = float(grid.solid_angles().max().sqrt())
+        light = self
         while grid.cells * light._samples(spacing) ** 2 > _LOOKUPS and light._may_halve(spacing):
             light = light._halved()
         samples = light._samples(spacing)
@@ -269,7 +272,8 @@ def _cumulative(mass: Tensor) -> Tensor:
 def _invert(cumulative: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
     """The step of a cumulative table in which u falls, and how far along the step, in [0, 1]."""
     index = torch.searchsorted(cumulative, u, right=True) - 1
-    below, above = cumulative[index], cumulative[index + 1]
+    below = cumulative[index]
+    above = cumulative[index + 1]
     return index, ((u - below) / (above - below)).clamp(0, 1)
 
 

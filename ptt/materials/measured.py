@@ -62,18 +62,25 @@ def half_difference(wi: Tensor, wo: Tensor) -> HalfDifference:
 
     Rusinkiewicz 1998, section 3.
     """
-    h, d = brdf.half_vector(wi, wo), (wi - wo) / 2  # d: wi less its part along h
-    sin, cos = torch.hypot(h[..., 0], h[..., 1]), h[..., 2]
-    x, y = torch.where(sin > 0, h[..., 0] / sin, 1.0), torch.where(sin > 0, h[..., 1] / sin, 0.0)  # azimuth of h
-    along, across = x * d[..., 0] + y * d[..., 1], x * d[..., 1] - y * d[..., 0]
+    h = brdf.half_vector(wi, wo)
+    d = (wi - wo) / 2  # d: wi less its part along h
+    sin = torch.hypot(h[..., 0], h[..., 1])
+    cos = h[..., 2]
+    x = torch.where(sin > 0, h[..., 0] / sin, 1.0)
+    y = torch.where(sin > 0, h[..., 1] / sin, 0.0)  # azimuth of h
+    along = x * d[..., 0] + y * d[..., 1]
+    across = x * d[..., 1] - y * d[..., 0]
     theta_d = torch.atan2(d.norm(dim=-1), (wi + wo).norm(dim=-1) / 2)
     return HalfDifference(torch.atan2(sin, cos), theta_d, torch.atan2(across, cos * along - sin * d[..., 2]))
 
 
 def from_half_difference(theta_h: Tensor, theta_d: Tensor, phi_d: Tensor) -> tuple[Tensor, Tensor]:
     """The inverse of `half_difference`, with h in the x-z plane: angles (...) [rad] -> wi (..., 3), wo (..., 3)."""
-    along, across = torch.sin(theta_d) * torch.cos(phi_d), torch.sin(theta_d) * torch.sin(phi_d)
-    sin, cos, up = torch.sin(theta_h), torch.cos(theta_h), torch.cos(theta_d)
+    along = torch.sin(theta_d) * torch.cos(phi_d)
+    across = torch.sin(theta_d) * torch.sin(phi_d)
+    sin = torch.sin(theta_h)
+    cos = torch.cos(theta_h)
+    up = torch.cos(theta_d)
     wi = torch.stack((cos * along + sin * up, across, cos * up - sin * along), dim=-1)
     wo = torch.stack((sin * up - cos * along, -across, cos * up + sin * along), dim=-1)
     return wi, wo
@@ -153,16 +160,20 @@ class MERL:
         """(..., 3), (..., 3) local unit directions -> RGB (..., 3) [1/sr], of their dtype."""
         above = _above(wi, wo)
         stencils = _STENCILS[self.interpolation](*_cell_coordinates(half_difference(wi, wo), above))
-        total, weight = torch.zeros(()), torch.zeros(())
+        total = torch.zeros(())
+        weight = torch.zeros(())
         for (h, a), (d, b), (p, c) in product(*stencils):
             value, valid = self._read(h, d, p)
             w = (a * b * c * valid)[..., None]
-            total, weight = total + w * value, weight + w
+            total = total + w * value
+            weight = weight + w
         return (total / weight.clamp(min=1e-60) * above[..., None].cpu()).to(wi)
 
     def _read(self, h: Tensor, d: Tensor, p: Tensor) -> tuple[Tensor, Tensor]:
         """Cell numbers (...), which may overrun -> values (..., 3) [1/sr], 0 where masked; and which are valid (...)"""
-        h, d, p = h.clamp(0, CELLS[0] - 1), d.clamp(0, CELLS[1] - 1), p % CELLS[2]
+        h = h.clamp(0, CELLS[0] - 1)
+        d = d.clamp(0, CELLS[1] - 1)
+        p = p % CELLS[2]
         cells = self.planes[:, h.long().numpy(), d.long().numpy(), p.long().numpy()]
         value = torch.from_numpy(np.array(cells, dtype=np.float64)).movedim(0, -1)
         valid = ((value >= 0) & (value < math.inf)).all(-1)
@@ -214,7 +225,9 @@ class NeuralBRDF:
     def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
         """(..., 3), (..., 3) local unit directions -> RGB (..., 3) [1/sr], of their dtype."""
         theta_h, theta_d, phi_d = half_difference(wi, wo)
-        sin_h, sin_d, zero = torch.sin(theta_h), torch.sin(theta_d), torch.zeros_like(theta_h)
+        sin_h = torch.sin(theta_h)
+        sin_d = torch.sin(theta_d)
+        zero = torch.zeros_like(theta_h)
         d = (sin_d * torch.cos(phi_d), sin_d * torch.sin(phi_d), torch.cos(theta_d))
         x = torch.stack((sin_h, zero, torch.cos(theta_h), *d), dim=-1)  # (..., 6)
         *hidden, (weight, bias) = self.layers
@@ -249,7 +262,8 @@ def _centres(h: int) -> tuple[Tensor, Tensor]:
 def _sample(brdf_function: Callable[[Tensor, Tensor], Tensor], h: int) -> Tensor:
     """The file's values (3, 90, 180) of f in the cells with number h along theta_h; -1 is masked."""
     wi, wo = _centres(h)
-    value, above = brdf_function(wi, wo).detach().cpu(), _above(wi, wo)
+    value = brdf_function(wi, wo).detach().cpu()
+    above = _above(wi, wo)
     if value.shape != wi.shape:
         raise ValueError(f"brdf_function must return RGB {tuple(wi.shape)}, got {tuple(value.shape)}")
     if not bool(value[above].isfinite().all()):

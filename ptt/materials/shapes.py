@@ -228,7 +228,8 @@ def turns_alike(shape: Shape) -> bool:
     spread = torch.logspace(-3, 1, 4096, dtype=torch.float64)[:, None]
     wi = torch.nn.functional.normalize(lobes.mirror(wo) + spread * near, dim=1)
     fifth = turn(2, 72.0)
-    value, turned = shape.evaluate(wi, wo), shape.evaluate(wi @ fifth.T, wo @ fifth.T)
+    value = shape.evaluate(wi, wo)
+    turned = shape.evaluate(wi @ fifth.T, wo @ fifth.T)
     return bool(((turned - value).abs() <= 1e-3 * (value + turned) + 1e-6 * value.max()).all())
 
 

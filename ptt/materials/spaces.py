@@ -234,7 +234,8 @@ class BRDFSpace:
         Raises:
             ValueError: the shape lies outside of a space that does not clamp, or differs in what does not vary.
         """
-        place, points = self._place(shape), self._simplices.points
+        place = self._place(shape)
+        points = self._simplices.points
         weights = self._simplices.weights(place)
         if self.clamped:
             return weights
@@ -250,7 +251,8 @@ class BRDFSpace:
         Raises:
             ValueError: it lies outside of the samples' range in a space that does not clamp, or has other parameters.
         """
-        given, first = shapes.parameters(shape), shapes.parameters(self._analytic[0])
+        given = shapes.parameters(shape)
+        first = shapes.parameters(self._analytic[0])
         if given.keys() != first.keys():
             raise ValueError(f"{shape.model} must have {', '.join(first)} here, got {', '.join(given)}")
         for name, value in given.items():
@@ -292,7 +294,8 @@ class BRDFSpace:
     def _bounds(self) -> dict[str, tuple[float, float]]:
         """Of the parameters that vary."""
         points = self._simplices.points
-        low, high = points.amin(0).tolist(), points.amax(0).tolist()
+        low = points.amin(0).tolist()
+        high = points.amax(0).tolist()
         return dict(zip(self._axes, zip(low, high, strict=True), strict=True))
 
     @cached_property

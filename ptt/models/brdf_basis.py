@@ -17,8 +17,11 @@ from ptt.ops.albedo import gauss_legendre, nodes
 FUNCTIONS = 4
 ENERGY = 4.0  # how much more than its shape an albedo counts
 BANDS = 8  # of cells from the normal to the horizon: as wide as a texel of a cube map of 8 x 8, 11 degrees
-TILTS, TURNS = 24, 7  # outgoing directions: by projected solid angle, and around the normal
-FINEST, RINGS, ARCS = 1e-4, 48, 24  # of the quadrature over incident directions (`ops.albedo.nodes`)
+TILTS = 24
+TURNS = 7  # outgoing directions: by projected solid angle, and around the normal
+FINEST = 1e-4
+RINGS = 48
+ARCS = 24  # of the quadrature over incident directions (`ops.albedo.nodes`)
 
 
 class BRDFBasis(nn.Module):
@@ -124,7 +127,8 @@ def _features(samples: Sequence[Shape]) -> Tensor:
     wi, incident = nodes(wo, FINEST, RINGS, ARCS)
     weights = outgoing[:, None] * incident
     cells, count = _cells(wi)
-    cells, count = (cells + count * torch.arange(len(wo))[:, None]).flatten(), count * len(wo)
+    cells = (cells + count * torch.arange(len(wo))[:, None]).flatten()
+    count = count * len(wo)
     solid = cells.bincount((weights / wi[..., 2].clamp(min=1e-9)).flatten(), count)  # angles, times outgoing
 
     def seen(shape: Shape) -> Tensor:

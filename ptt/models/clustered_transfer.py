@@ -51,7 +51,8 @@ class ClusteredTransfer(nn.Module):
 
     def __init__(self, slots: Sequence[int], pairs: Sequence[Sequence[int]], **parts: Tensor) -> None:
         super().__init__()
-        self.slots, self.pairs = list(slots), [list(pair) for pair in pairs]
+        self.slots = list(slots)
+        self.pairs = [list(pair) for pair in pairs]
         for name in ("cluster", "place", "weights", "columns", "direct", "lighting", "one", "two", "cuts"):
             self.register_buffer(name, in_large_pages(parts[name]))
 
@@ -89,9 +90,13 @@ class ClusteredTransfer(nn.Module):
     @staticmethod
     def expected(config: Mapping[str, Any], points: int, factors: int) -> Shapes:
         """Types and shapes of the tensors that belong to a config."""
-        b, k, e = config["blocks"], config["clusters"], config["eigenvectors"]
+        b = config["blocks"]
+        k = config["clusters"]
+        e = config["eigenvectors"]
         n, coarse, coarsest = config["lighting"]
-        m, q, pairs = config["columns"], len(config["slots"]), len(config["pairs"])
+        m = config["columns"]
+        q = len(config["slots"])
+        pairs = len(config["pairs"])
         stored = STORAGE[config["storage"]]
         return {
             "cluster": (torch.int64, (b,)),

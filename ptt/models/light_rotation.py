@@ -66,8 +66,13 @@ class LightRotation(nn.Module):
         compiled: bool = True,
     ) -> None:
         super().__init__()
-        self.n, self.m, self.operator, self.samples = n, m, operator, samples
-        self.normals, self.compiled, self._csr = normals, compiled, Cache()
+        self.n = n
+        self.m = m
+        self.operator = operator
+        self.samples = samples
+        self.normals = normals
+        self.compiled = compiled
+        self._csr = Cache()
         for name, tensor in {"frames": frames, **tables}.items():
             self.register_buffer(name, tensor)
 
@@ -167,7 +172,9 @@ class LightRotation(nn.Module):
         """
         config, tensors = saved.load(path, KIND)
         with saved.describing(path):
-            n, m, operator = config["n"], config["m"], config["operator"]
+            n = config["n"]
+            m = config["m"]
+            operator = config["operator"]
             saved.check(tensors, _expected(config))
             _check_tables(tensors, n, operator, config["samples"])
             tables = {name: tensors[name] for name in TABLES[operator]}
@@ -176,7 +183,9 @@ class LightRotation(nn.Module):
 
 def _matrices(s: Resampling, n: int, m: int, threshold: int, compiled: bool, progress: bool) -> dict[str, Tensor]:
     """R of every frame in 16 bits, in blocks of frames."""
-    frames, rows, unit = (len(s.starts) - 1) // m**2, m**2, _unit(s, n, m)
+    frames = (len(s.starts) - 1) // m**2
+    rows = m**2
+    unit = _unit(s, n, m)
     form = native.quantised if compiled else rotation.quantised
     parts = []
     with tqdm(total=frames, desc="matrices", unit=" frames", disable=not progress) as bar:
@@ -198,7 +207,8 @@ def _matrices(s: Resampling, n: int, m: int, threshold: int, compiled: bool, pro
 
 def _unit(s: Resampling, n: int, m: int) -> float:
     """|R| <= |S|, whose rows sum to 1: the root of its largest column sum, over all frames, bounds every number."""
-    rows, column = m**2, torch.zeros(n * n, dtype=torch.float64)
+    rows = m**2
+    column = torch.zeros(n * n, dtype=torch.float64)
     for first in range(0, len(s.starts) - 1, rows):
         some = s.part(first, first + rows)
         sums = torch.bincount(some.cells, some.weights(), minlength=n * n)
@@ -207,7 +217,8 @@ def _unit(s: Resampling, n: int, m: int) -> float:
 
 
 def _expected(config: Mapping[str, Any]) -> saved.Shapes:
-    sizes, f = config["sizes"], config["sizes"]["frames"]
+    sizes = config["sizes"]
+    f = config["sizes"]["frames"]
     column = torch.int16 if config["n"] ** 2 <= 1 << 15 else torch.int32
     tables: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
         "starts": (torch.int64, (f * config["m"] ** 2 + 1,)),
@@ -223,7 +234,8 @@ def _check_tables(tensors: Mapping[str, Tensor], n: int, operator: Operator, sam
     """A wrong row or column would read foreign memory."""
     if operator == "resample":
         return
-    starts, columns = tensors["starts"], tensors["columns" if operator == "matrix" else "reads"]
+    starts = tensors["starts"]
+    columns = tensors["columns" if operator == "matrix" else "reads"]
     if int(starts[0]) != 0 or int(starts[-1]) != len(columns) or bool((starts.diff() < 0).any()):
         raise ValueError(f"holds wrong rows: starts must rise from 0 to {len(columns)}")
     cells = columns if operator == "matrix" else Resampling(starts, columns, samples).cells

@@ -34,7 +34,8 @@ def slots_of(receivers: Receivers, functions: int) -> list[Slot]:
     for r, (name, editable, (first, end)) in enumerate(
         zip(receivers.names, receivers.editable, receivers.spans, strict=True)
     ):
-        material, colours = receivers.materials[name], receivers.colours[first:end]
+        material = receivers.materials[name]
+        colours = receivers.colours[first:end]
         if editable or bool((material.diffuse > 0).any()):
             grey = bool((colours == colours[:, :1]).all())
             found += [Slot(r, 0)] if grey else [Slot(r, 0, c) for c in range(3)]
@@ -57,7 +58,8 @@ def functions_of(basis: BRDFBasis, material: Material, shape: Tensor | None) -> 
 
     shape: coordinates (h,) in the space, None where the material has none
     """
-    diffuse, specular = material.diffuse.to(basis.table), material.specular.to(basis.table)
+    diffuse = material.diffuse.to(basis.table)
+    specular = material.specular.to(basis.table)
     row = basis.table.new_zeros(basis.table.shape[1]) if shape is None else basis.of_shape(shape)
     return torch.cat((diffuse[None], row[:, None] * specular, specular[None]))
 

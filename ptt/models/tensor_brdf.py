@@ -163,7 +163,8 @@ class TensorBRDF(nn.Module):
         of it sends out at albedo 1 and specular weight 1.
         """
         matrices = torch.einsum("sh,hoi->soi", self.u_h, self.core)
-        u_o, areas = self.u_o.flatten(1), Disk(self.u_o.shape[-1]).projected_solid_angles().flatten().to(self.u_o)
+        u_o = self.u_o.flatten(1)
+        areas = Disk(self.u_o.shape[-1]).projected_solid_angles().flatten().to(self.u_o)
         specular = torch.einsum("soi,op,spi->si", matrices, u_o * areas @ u_o.T, matrices)
         specular = specular.mean(0).div(math.pi).clamp(min=0).sqrt()
         return torch.cat((specular.new_tensor([1 / math.pi]), specular))
@@ -182,7 +183,9 @@ class TensorBRDF(nn.Module):
         The lobe of 0 degrees is as wide as `ops.lobes.MIRROR`, whatever the shape's own peak is.
         """
         wi, wo = torch.broadcast_tensors(wi, wo)
-        batch, wi, wo = wi.shape[:-1], wi.reshape(-1, 3), wo.reshape(-1, 3)
+        batch = wi.shape[:-1]
+        wi = wi.reshape(-1, 3)
+        wo = wo.reshape(-1, 3)
         value = torch.einsum("ov,oi,iv->v", self.outgoing(wo), self.matrix(shape), self.incident(wi))
         reflected = lobes.lookup(self.lobe_tables(shape), wo)
         value = value + lobes.evaluate(reflected, self.axes, wi, wo, self.angles)
@@ -197,7 +200,9 @@ class Remainders(Sequence[Tensor]):
     """
 
     def __init__(self, shapes: Sequence[Shape], angles: Sequence[float], resolution: int) -> None:
-        self.shapes, self.angles, self.resolution = shapes, angles, resolution
+        self.shapes = shapes
+        self.angles = angles
+        self.resolution = resolution
         grid = Disk(resolution)
         self.filled = grid.nearest_inside()
         self.inside = self.filled.unique()
@@ -210,7 +215,8 @@ class Remainders(Sequence[Tensor]):
         return len(self.shapes)
 
     def __getitem__(self, h: Any) -> Any:
-        shape, d = self.shapes[h], self.directions
+        shape = self.shapes[h]
+        d = self.directions
         values = shape.evaluate(d, d[:, None])  # shape: (o, i)
         weights = self.weights[:, None] * self.weights
         self.norms[h] = float((values * weights).double().norm()) or 1.0

@@ -38,7 +38,8 @@ class SparseTransfer(NamedTuple):
     @classmethod
     def of(cls, truncated: Truncated, factors: int, length: int) -> SparseTransfer:
         """From ascending positions i * length + l, and values, (v, k) each."""
-        factor, column = truncated.indices // length, truncated.indices % length
+        factor = truncated.indices // length
+        column = truncated.indices % length
         row = factor + factors * torch.arange(len(factor))[:, None]
         kept = torch.bincount(row.flatten(), minlength=factors * len(factor)).reshape(-1, factors)  # shape: (v, i)
         first = kept.T.flatten().cumsum(0).reshape(factors, -1).T - kept  # of each row (i, v) in the result
@@ -102,8 +103,13 @@ class TransferModel(nn.Module):
         truncation_error: float,
     ) -> None:
         super().__init__()
-        self.receivers, self.brdf, self.basis, self.regions = receivers, brdf, basis, nn.ModuleList(regions)
-        self.resolution, self.bounces, self.truncation_error = resolution, bounces, truncation_error
+        self.receivers = receivers
+        self.brdf = brdf
+        self.basis = basis
+        self.regions = nn.ModuleList(regions)
+        self.resolution = resolution
+        self.bounces = bounces
+        self.truncation_error = truncation_error
         for name, tensor in {**(sparse._asdict() if sparse else {}), **receivers.tensors()}.items():
             self.register_buffer(name, tensor)
 
@@ -158,9 +164,12 @@ class TransferModel(nn.Module):
         config, tensors = saved.load(path, KIND)
         with saved.describing(path):
             saved.check(tensors, _expected(config))
-            space, resolution = BRDFSpace.from_config(config["space"]), config["resolution"]
-            brdf, receivers = TensorBRDF(space, **_under("brdf.", tensors)), Receivers.restore(config, tensors)
-            bounces, error = config["bounces"], config["truncation_error"]
+            space = BRDFSpace.from_config(config["space"])
+            resolution = config["resolution"]
+            brdf = TensorBRDF(space, **_under("brdf.", tensors))
+            receivers = Receivers.restore(config, tensors)
+            bounces = config["bounces"]
+            error = config["truncation_error"]
             if config["clustered"]:
                 basis = BRDFBasis(space, **_under("basis.", tensors))
                 slots = len(slots_of(receivers, config["functions"]))
@@ -190,7 +199,8 @@ def _check_rows(t0: SparseTransfer, length: int) -> None:
 
 def _expected(config: dict[str, Any]) -> saved.Shapes:
     h, o, i = config["ranks"]
-    n, samples = config["disk"], len(config["space"]["samples"])
+    n = config["disk"]
+    samples = len(config["space"]["samples"])
     expected = {
         "brdf.core": (torch.float32, (h, o, i)),
         "brdf.u_h": (torch.float32, (samples, h)),
@@ -202,7 +212,8 @@ def _expected(config: dict[str, Any]) -> saved.Shapes:
         **Receivers.expected(config),
     }
     if not config["clustered"]:
-        v, count = sum(region["points"] for region in config["regions"]), config["coefficients"]
+        v = sum(region["points"] for region in config["regions"])
+        count = config["coefficients"]
         return expected | {
             "kept": (torch.int32, (1 + i, v)),
             "columns": (_column_type(Cube(config["resolution"]).cells), (count,)),

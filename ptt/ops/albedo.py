@@ -47,20 +47,24 @@ def nodes(wo: Tensor, finest: float = 1e-9, rings: int = 160, turns: int = 48) -
     dwi = 4 (wo.h) dh: Walter et al. 2007, eq. 14.
     """
     wo = wo.double()
-    up, out = wo[..., 2, None], wo[..., :2].norm(dim=-1, keepdim=True)
+    up = wo[..., 2, None]
+    out = wo[..., :2].norm(dim=-1, keepdim=True)
     east = torch.where(out > 0, wo[..., :2] / out.clamp(min=1e-300), wo.new_tensor([1.0, 0.0]))
     whole = torch.atan2(up, out).clamp(min=0) / 2  # shape: (..., 1)
     ends = [torch.log1p(t / finest) for t in (torch.zeros_like(whole), whole, math.pi / 2 - whole)]
     x, wx = gauss_legendre(rings, wo)
     s = torch.cat([a + (b - a) * x for a, b in pairwise(ends)], -1)  # shape: (..., 2 rings)
     ds = torch.cat([(b - a) * wx for a, b in pairwise(ends)], -1)
-    t, dt = finest * s.expm1(), finest * s.exp() * ds
+    t = finest * s.expm1()
+    dt = finest * s.exp() * ds
     arc = torch.acos((-up * (2 * t).cos() / (out * (2 * t).sin()).clamp(min=1e-300)).clamp(-1, 1))
     y, wy = gauss_legendre(turns, wo)
     phi = arc[..., None] * (2 * y - 1)  # shape: (..., 2 rings, turns)
     dh = (dt * t.sin() * 2 * arc)[..., None] * wy
-    cx, cy = phi.cos() * t.sin()[..., None], phi.sin() * t.sin()[..., None]
-    ex, ey = east[..., 0, None, None], east[..., 1, None, None]
+    cx = phi.cos() * t.sin()[..., None]
+    cy = phi.sin() * t.sin()[..., None]
+    ex = east[..., 0, None, None]
+    ey = east[..., 1, None, None]
     h = torch.stack([cx * ex - cy * ey, cx * ey + cy * ex, t.cos()[..., None].expand_as(cx)], -1).flatten(-3, -2)
     wo = wo[..., None, :].expand_as(h)
     oh = (wo * h).sum(-1)

@@ -59,7 +59,9 @@ def cook_torrance(wi: Tensor, wo: Tensor, f0: Tensor | float, m: Tensor | float)
     """
     f0, m = (torch.as_tensor(p, dtype=wi.dtype, device=wi.device) for p in (f0, m))
     h = half_vector(wi, wo)
-    nh, nl, nv = h[..., 2].clamp(min=1e-6), wi[..., 2].clamp(min=0), wo[..., 2].clamp(min=0)
+    nh = h[..., 2].clamp(min=1e-6)
+    nl = wi[..., 2].clamp(min=0)
+    nv = wo[..., 2].clamp(min=0)
     vh = _cos_half_angle(wi, wo).clamp(min=1e-6)
     d = torch.exp(-_sin2(h) / nh**2 * m**-2) * m**-2 / nh**4
     f = f0 + (1 - f0) * (1 - vh).clamp(min=0) ** 5
@@ -80,7 +82,8 @@ def ward(wi: Tensor, wo: Tensor, ax: Tensor | float, ay: Tensor | float | None =
     ax = torch.as_tensor(ax, dtype=wi.dtype, device=wi.device)
     ay = ax if ay is None else torch.as_tensor(ay, dtype=wi.dtype, device=wi.device)
     h = half_vector(wi, wo)
-    hz, vh = h[..., 2].abs().clamp(min=1e-6), _cos_half_angle(wi, wo).clamp(min=1e-6)
+    hz = h[..., 2].abs().clamp(min=1e-6)
+    vh = _cos_half_angle(wi, wo).clamp(min=1e-6)
     slope2 = ((h[..., 0] / ax) ** 2 + (h[..., 1] / ay) ** 2) / hz**2
     return torch.exp(-slope2) / (vh * hz * hz) ** 2 / (4 * math.pi * ax * ay) * _above(wi, wo)
 
@@ -98,9 +101,12 @@ def ggx(wi: Tensor, wo: Tensor, f0: Tensor | float, roughness: Tensor | float) -
     Trowbridge and Reitz 1975; Walter et al. 2007; Heitz 2014; glTF 2.0, appendix B.
     """
     f0, roughness = (torch.as_tensor(p, dtype=wi.dtype, device=wi.device) for p in (f0, roughness))
-    h, a = half_vector(wi, wo), roughness**2
+    h = half_vector(wi, wo)
+    a = roughness**2
     a2 = a**2
-    nl, nv, hz = wi[..., 2].clamp(min=1e-12), wo[..., 2].clamp(min=1e-12), h[..., 2]
+    nl = wi[..., 2].clamp(min=1e-12)
+    nv = wo[..., 2].clamp(min=1e-12)
+    hz = h[..., 2]
     d = (1 / (a * hz**2 + _sin2(h) / a)) ** 2 / math.pi  # a^4 and its gradient would leave float32
     masked = nl * (a2 + (1 - a2) * nv**2).sqrt() + nv * (a2 + (1 - a2) * nl**2).sqrt()
     f = f0 + (1 - f0) * (1 - _cos_half_angle(wi, wo)).clamp(min=0) ** 5

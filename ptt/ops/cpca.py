@@ -68,7 +68,8 @@ def _assign(data: Tensor, bases: Tensor) -> tuple[Tensor, Tensor]:
     """The basis (k, e, r) that leaves least of each row, and the squared error that it leaves (v,)."""
     k, e, _ = bases.shape
     whole = data.square().sum(1)
-    labels, errors = [], []
+    labels = []
+    errors = []
     for rows, size in zip(data.split(max(1, CHUNK // (k * e))), whole.split(max(1, CHUNK // (k * e))), strict=True):
         caught = (rows @ bases.flatten(0, 1).T).square_().unflatten(1, (k, e)).sum(2)
         best = caught.max(1)

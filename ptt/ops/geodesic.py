@@ -82,7 +82,8 @@ class Geodesic(Grid):
             parts = _children(corners)  # shape: (n, 4, 3, 3)
             inside = torch.einsum("nkax,nx->nka", _edges(parts), d).amin(2)
             child = inside.argmax(1)
-            index, corners = 4 * index + child, parts[torch.arange(len(d), device=d.device), child]
+            index = 4 * index + child
+            corners = parts[torch.arange(len(d), device=d.device), child]
         return index.reshape(batch)
 
     def refine(self, k: int) -> Geodesic:
@@ -100,7 +101,8 @@ class Geodesic(Grid):
         return self.refine(k).directions()
 
     def means(self, function: Callable[[Tensor], Tensor], k: int, chunk: int = 1 << 20) -> Tensor:
-        parts, levels = [], self.refine(k).level - self.level
+        parts = []
+        levels = self.refine(k).level - self.level
         for corners in self.corners().split(max(1, chunk >> 2 * levels)):
             fine = corners
             for _ in range(levels):
@@ -118,7 +120,8 @@ def analyse(values: Tensor) -> Tensor:
     Raises:
         ValueError: n is not 20 x 4^level.
     """
-    signs, parts = SIGNS.to(values), []
+    signs = SIGNS.to(values)
+    parts = []
     for _ in range(levels(values.shape[-1])):
         children = values.unflatten(-1, (-1, 4))
         parts.append((children @ (signs.T / 4)).flatten(-2))
@@ -128,7 +131,8 @@ def analyse(values: Tensor) -> Tensor:
 
 def synthesise(coefficients: Tensor) -> Tensor:
     """Values (..., n) of coefficients (..., n): the inverse of `analyse`."""
-    signs, values = SIGNS.to(coefficients), coefficients[..., :ROOTS]
+    signs = SIGNS.to(coefficients)
+    values = coefficients[..., :ROOTS]
     for level in range(levels(coefficients.shape[-1])):
         first = ROOTS << 2 * level
         details = coefficients[..., first : 4 * first].unflatten(-1, (-1, 3))
@@ -173,7 +177,9 @@ def _icosahedron() -> Tensor:
 def _children(corners: Tensor) -> Tensor:
     """Corners (..., 4, 3, 3) of the four parts of triangles (..., 3, 3)."""
     a, b, c = corners.unbind(-2)
-    ab, bc, ca = unit(a + b), unit(b + c), unit(c + a)
+    ab = unit(a + b)
+    bc = unit(b + c)
+    ca = unit(c + a)
     parts = ((bc, ca, ab), (a, ab, ca), (ab, b, bc), (ca, bc, c))
     return torch.stack([torch.stack(part, -2) for part in parts], -3)
 

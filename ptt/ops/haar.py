@@ -25,15 +25,19 @@ def analyse(values: Tensor) -> Tensor:
     Raises:
         ValueError: the last two axes are not equal powers of two.
     """
-    out, n = torch.empty_like(values), _side(values)
+    out = torch.empty_like(values)
+    n = _side(values)
     while n > 1:
-        top, bottom = values[..., 0::2, :], values[..., 1::2, :]
-        s, d = top + bottom, top - bottom
+        top = values[..., 0::2, :]
+        bottom = values[..., 1::2, :]
+        s = top + bottom
+        d = top - bottom
         h = n // 2
         out[..., :h, h:n] = (s[..., 0::2] - s[..., 1::2]) / 2
         out[..., h:n, :h] = (d[..., 0::2] + d[..., 1::2]) / 2
         out[..., h:n, h:n] = (d[..., 0::2] - d[..., 1::2]) / 2
-        values, n = (s[..., 0::2] + s[..., 1::2]) / 2, h
+        values = (s[..., 0::2] + s[..., 1::2]) / 2
+        n = h
     out[..., :1, :1] = values
     return out
 
@@ -41,10 +45,13 @@ def analyse(values: Tensor) -> Tensor:
 def synthesise(coefficients: Tensor) -> Tensor:
     """Values (..., n, n) of coefficients (..., n, n): the inverse, and the transpose, of `analyse`."""
     n = _side(coefficients)
-    values, h = coefficients[..., :1, :1], 1
+    values = coefficients[..., :1, :1]
+    h = 1
     while h < n:
-        a, b = values, coefficients[..., :h, h : 2 * h]
-        c, d = coefficients[..., h : 2 * h, :h], coefficients[..., h : 2 * h, h : 2 * h]
+        a = values
+        b = coefficients[..., :h, h : 2 * h]
+        c = coefficients[..., h : 2 * h, :h]
+        d = coefficients[..., h : 2 * h, h : 2 * h]
         top = torch.stack((a + b + c + d, a - b + c - d), -1).flatten(-2)
         bottom = torch.stack((a + b - c - d, a - b - c + d), -1).flatten(-2)
         values = torch.stack((top, bottom), -2).flatten(-3, -2) / 2

@@ -30,10 +30,12 @@ def evaluate(directions: Tensor, order: int) -> Tensor:
         raise ValueError(f"directions must have shape (..., 3), got {tuple(directions.shape)}")
     x, y, z = directions.unbind(-1)
     out: list[Tensor] = [z] * (order * order)
-    cosine, sine = torch.ones_like(z), torch.zeros_like(z)  # sin^m(theta) cos(m phi), sin^m(theta) sin(m phi)
+    cosine = torch.ones_like(z)
+    sine = torch.zeros_like(z)  # sin^m(theta) cos(m phi), sin^m(theta) sin(m phi)
     diagonal = 0.5 / math.sqrt(math.pi)
     for m in range(order):
-        previous, current = torch.zeros_like(z), torch.full_like(z, diagonal)
+        previous = torch.zeros_like(z)
+        current = torch.full_like(z, diagonal)
         for l in range(m, order):  # noqa: E741 (the field's letter)
             if m == 0:
                 out[l * (l + 1)] = current
@@ -55,7 +57,8 @@ def hemispherical(order: int) -> Tensor:
     from above the horizon alone, which the harmonics themselves would smear below. Z_0 is constant, 1 / sqrt(pi).
     """
     nodes, shares = np.polynomial.legendre.leggauss(order + 1)
-    z, weights = torch.from_numpy(nodes / 2 + 0.5), torch.from_numpy(shares * math.pi)  # of z in 0..1, times 2 pi
+    z = torch.from_numpy(nodes / 2 + 0.5)
+    weights = torch.from_numpy(shares * math.pi)  # of z in 0..1, times 2 pi
     turns = torch.arange(2 * order, dtype=torch.float64) * (math.pi / order)
     sine = (1 - z * z).sqrt()[:, None]
     around = torch.stack((sine * turns.cos(), sine * turns.sin(), z[:, None].expand(-1, 2 * order)), -1)

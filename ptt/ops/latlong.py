@@ -48,7 +48,8 @@ def halving(height: int) -> Tensor:
     Rows as intervals of accumulated weight: each new row takes from the old ones that its interval overlaps.
     """
     new, old = (F.pad(texel_weights(h, h).cumsum(0) * h, (1, 0)) for h in (height // 2, height))
-    upper, lower = torch.minimum(new[1:, None], old[1:]), torch.maximum(new[:-1, None], old[:-1])
+    upper = torch.minimum(new[1:, None], old[1:])
+    lower = torch.maximum(new[:-1, None], old[:-1])
     return (upper - lower).clamp(min=0) / new.diff()[:, None]
 
 
@@ -73,9 +74,11 @@ def _box(texels: Tensor, widths: Tensor) -> Tensor:
 def _cumulated(sums: Tensor, x: Tensor) -> Tensor:
     """Periodic running sums (h, w + 1, 3), linear in between, at columns x (h, w): (h, w, 3)."""
     width = sums.shape[1] - 1
-    turns, column = torch.div(x, width, rounding_mode="floor"), (x % width).floor()
+    turns = torch.div(x, width, rounding_mode="floor")
+    column = (x % width).floor()
     index = column.long().clamp(max=width - 1)[..., None].expand(-1, -1, 3)
-    below, above = sums.gather(1, index), sums.gather(1, index + 1)
+    below = sums.gather(1, index)
+    above = sums.gather(1, index + 1)
     return below + (above - below) * (x % width - column)[..., None] + turns[..., None] * sums[:, -1:]
 
 
@@ -97,7 +100,9 @@ def cap(direction: Tensor, radius: float, height: int, width: int) -> Tensor:
     if not 0 < radius <= 180:
         raise ValueError(f"radius must satisfy 0 < radius <= 180 degrees, got {radius}")
     x, y, z = direction.unbind()
-    rho, middle, azimuth = radians(radius), torch.atan2(torch.hypot(x, z), y), torch.atan2(x, -z)
+    rho = radians(radius)
+    middle = torch.atan2(torch.hypot(x, z), y)
+    azimuth = torch.atan2(x, -z)
     edges = torch.linspace(0, pi, height + 1, dtype=torch.float64).clamp(middle - rho, middle + rho)
     steps = edges.diff()[:, None] / 32
     t = edges[:-1, None] + steps * (torch.arange(32, dtype=torch.float64) + 0.5)

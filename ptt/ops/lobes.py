@@ -25,7 +25,8 @@ from ptt.ops import harmonics
 ANGLES = (0.0, 7.0, 14.0, 21.0)  # degrees that three standard deviations cover
 MIRROR = 3.5  # degrees that the 0-degree lobe covers
 TINY = 1e-30
-ISOTROPIC, ANISOTROPIC = (1, 64), (24, 32)  # azimuths and tilts at which lobes are tabulated
+ISOTROPIC = (1, 64)
+ANISOTROPIC = (24, 32)  # azimuths and tilts at which lobes are tabulated
 
 
 def evaluate(reflected: Tensor, axes: Tensor, wi: Tensor, wo: Tensor, angles: Sequence[float] = ANGLES) -> Tensor:
@@ -76,11 +77,13 @@ def corners(wo: Tensor, turns: int, tilts: int) -> tuple[Tensor, Tensor]:
     tilt = (angle * (2 * tilts / math.pi) - 0.5).clamp(0, tilts - 1)
     i = tilt.floor().clamp(max=max(tilts - 2, 0)).long()
     a = tilt - i
-    index, weights = torch.stack((i, (i + 1).clamp(max=tilts - 1)), -1), torch.stack((1 - a, a), -1)
+    index = torch.stack((i, (i + 1).clamp(max=tilts - 1)), -1)
+    weights = torch.stack((1 - a, a), -1)
     if turns == 1:
         return index, weights
     turn = torch.atan2(wo[..., 1], wo[..., 0]) * (turns / (2 * math.pi)) % turns
-    j, b = turn.floor(), (turn - turn.floor())[..., None]
+    j = turn.floor()
+    b = (turn - turn.floor())[..., None]
     row = tilts * (j.long() % turns)[..., None]
     after = tilts * ((j.long() + 1) % turns)[..., None]
     return torch.cat((row + index, after + index), -1), torch.cat((weights * (1 - b), weights * b), -1)

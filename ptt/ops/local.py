@@ -35,7 +35,8 @@ def visibility(surface: Surface, points: Tensor, frames: Tensor, grid: Geodesic,
     local = grid.samples(samples).float()
     above = (local[:, 2] > 0).nonzero()[:, 0]
     owner = above // samples**2
-    origins, parts = surface.offset(points, frames[:, 2]), []
+    origins = surface.offset(points, frames[:, 2])
+    parts = []
     for start, frame in zip(*(x.split(max(1, _RAYS // len(above))) for x in (origins, frames.float())), strict=True):
         directions = (local[above] @ frame).flatten(0, 1)
         hidden = surface.occluded(start.repeat_interleave(len(above), 0), directions).reshape(len(start), -1)
@@ -56,7 +57,9 @@ def brdf(f: Callable[[Tensor, Tensor], Tensor], grid: Geodesic, wo: Tensor, samp
     wi = fine.directions()
     above = wi[:, 2] > 0
     cosine = fine.solid_angles() * wi[:, 2].clamp(min=0) * (grid.cells / ROOTS)
-    wi, weight, owner = wi[above].float(), cosine[above].float(), above.nonzero()[:, 0] // samples**2
+    wi = wi[above].float()
+    weight = cosine[above].float()
+    owner = above.nonzero()[:, 0] // samples**2
     parts = []
     for some in wo.float().split(max(1, _VALUES // len(wi))):
         values = f(wi, some[:, None]) * weight
@@ -77,7 +80,8 @@ def brdf_table(
     if not mirrored:
         return brdf(f, grid, wo, samples)
     quarter = ((wo[:, 0] > -MIDDLE) & (wo[:, 1] > -MIDDLE)).nonzero()[:, 0]
-    found, table = brdf(f, grid, wo[quarter], samples), torch.empty(len(wo), grid.cells)
+    found = brdf(f, grid, wo[quarter], samples)
+    table = torch.empty(len(wo), grid.cells)
     for x, y in ((1, 1), (-1, 1), (1, -1), (-1, -1)):
         flip = torch.tensor([x, y, 1], dtype=torch.float64)
         table[HemiOctahedral(views).cell(wo[quarter] * flip)] = found[:, grid.cell(grid.directions() * flip)]

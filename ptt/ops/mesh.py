@@ -27,7 +27,8 @@ def check_mesh(vertices: Tensor, faces: Tensor) -> None:
         raise ValueError(f"faces (f, 3) must hold at least one triangle, got {tuple(faces.shape)}")
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.is_floating_point() or faces.dtype == torch.bool:
         raise ValueError(f"faces must be (f, 3) integers, got {tuple(faces.shape)} {faces.dtype}")
-    low, high = int(faces.min()), int(faces.max())
+    low = int(faces.min())
+    high = int(faces.max())
     if low < 0:
         raise ValueError(f"faces (f, 3) must index vertices: min index {low} < 0")
     if high >= len(vertices):
@@ -52,7 +53,8 @@ def sound_faces(vertices: Tensor, faces: Tensor) -> Tensor:
 def corner_angles(vertices: Tensor, faces: Tensor) -> Tensor:
     """The angle at each corner (f, 3) [rad], float64; a sound triangle's sum to pi."""
     corners = vertices.double()[faces]
-    ahead, behind = corners.roll(-1, 1) - corners, corners.roll(1, 1) - corners
+    ahead = corners.roll(-1, 1) - corners
+    behind = corners.roll(1, 1) - corners
     return torch.atan2(torch.cross(ahead, behind, dim=-1).norm(dim=-1), (ahead * behind).sum(-1))
 
 
@@ -78,7 +80,8 @@ def fill_normals(vertices: Tensor, normals: Tensor) -> Tensor:
         raise ValueError("faces (f, 3) must give a vertex a normal: every front cancels with a back")
     if known.all():
         return normals
-    filled, sources = normals.clone(), normals[known]
+    filled = normals.clone()
+    sources = normals[known]
     for rows in torch.split(torch.nonzero(~known)[:, 0], 256):
         nearest = torch.cdist(vertices[rows].double(), vertices[known].double()).argmin(1)
         filled[rows] = sources[nearest]
@@ -124,7 +127,8 @@ def _u_directions(vertices: Tensor, faces: Tensor, uv: Tensor) -> Tensor:
     """(v, 3): the unit directions in which u grows on the faces, weighted by their angle at the vertex."""
     a, b, c = vertices.double()[faces].unbind(1)
     s, t, r = uv.double()[faces].unbind(1)
-    (du1, dv1), (du2, dv2) = (t - s).unbind(-1), (r - s).unbind(-1)
+    (du1, dv1) = (t - s).unbind(-1)
+    (du2, dv2) = (r - s).unbind(-1)
     area = du1 * dv2 - du2 * dv1
     direction = ((b - a) * dv2[:, None] - (c - a) * dv1[:, None]) * area.sign()[:, None]
     angles = corner_angles(vertices, faces)[..., None]
@@ -172,7 +176,8 @@ def subdivide(faces: Tensor, count: int, cut: Tensor | None = None) -> tuple[Ten
     edges, index = torch.unique(pairs[cut], dim=0, return_inverse=True)
     middles = torch.full_like(faces, -1)
     middles[cut] = index + count
-    finer, cuts = [], cut.sum(1)
+    finer = []
+    cuts = cut.sum(1)
     # of faces with so many cuts, turned so that these come first: corners a, b, c and middles ab, bc, ca as 0 to 5
     for number, corners in enumerate(([0, 1, 2], [0, 3, 2, 3, 1, 2], [3, 1, 4, 0, 3, 4, 0, 4, 2], _IN_FOUR)):
         own = cuts == number
@@ -192,11 +197,16 @@ def sample_texture(texture: Tensor, uv: Tensor) -> Tensor:
     u grows with the column, v against the row (v = 1 is the top of row 0); texel centres lie at half texels.
     """
     height, width = texture.shape[:2]
-    x, y = uv[:, 0].double() * width - 0.5, (1 - uv[:, 1].double()) * height - 0.5
-    column, row = x.floor(), y.floor()
-    fx, fy = (x - column).to(texture)[:, None], (y - row).to(texture)[:, None]
-    c0, r0 = column.long() % width, row.long() % height
-    c1, r1 = (c0 + 1) % width, (r0 + 1) % height
+    x = uv[:, 0].double() * width - 0.5
+    y = (1 - uv[:, 1].double()) * height - 0.5
+    column = x.floor()
+    row = y.floor()
+    fx = (x - column).to(texture)[:, None]
+    fy = (y - row).to(texture)[:, None]
+    c0 = column.long() % width
+    r0 = row.long() % height
+    c1 = (c0 + 1) % width
+    r1 = (r0 + 1) % height
     top = texture[r0, c0] * (1 - fx) + texture[r0, c1] * fx
     return top * (1 - fy) + (texture[r1, c0] * (1 - fx) + texture[r1, c1] * fx) * fy
 
@@ -213,7 +223,8 @@ def plane_mesh(size: float = 1.0, cells: int = 1) -> tuple[Tensor, Tensor]:
 def box_mesh(size: tuple[float, float, float] = (1.0, 1.0, 1.0), cells: int = 1) -> tuple[Tensor, Tensor]:
     """A box about the origin, facing outwards; each side a grid of its own, so that edges are sharp."""
     grid, faces = plane_mesh(1.0, cells)
-    x, z = grid[:, 0], grid[:, 2]
+    x = grid[:, 0]
+    z = grid[:, 2]
     half = torch.full_like(x, 0.5)
     sides = [(half, -z, -x), (-half, -z, x), (x, half, z), (x, -half, -z), (x, -z, half), (-x, -z, -half)]
     vertices = torch.cat([torch.stack(side, -1) for side in sides]) * torch.tensor(size)

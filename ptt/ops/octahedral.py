@@ -117,8 +117,10 @@ class _Unfolded(Squares):
 
     def _solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
         # both diagonals cut a cell in four triangles, none of which has a fold inside
-        b, a = 2 * rows - 1, 2 * columns - 1
-        corner, centre = self._points(*crossed(b, a)), self._points(*crossed(centres(b), centres(a)))
+        b = 2 * rows - 1
+        a = 2 * columns - 1
+        corner = self._points(*crossed(b, a))
+        centre = self._points(*crossed(centres(b), centres(a)))
         around = corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]
         # p . (q x r) is twice a triangle's area in the plane of x and y, as |x| + |y| + |z| = 1: no cancellation
         volume = self._scale / 2 * b.diff()[:, None] * a.diff()
@@ -165,7 +167,8 @@ class HemiOctahedral(_Unfolded):
         return hemi_octahedral(d)
 
     def _points(self, b: Tensor, a: Tensor) -> Tensor:
-        x, y = (a + b) / 2, (a - b) / 2
+        x = (a + b) / 2
+        y = (a - b) / 2
         return torch.stack((x, y, 1 - x.abs() - y.abs()), dim=-1)
 
 
@@ -176,7 +179,8 @@ def _on_octahedron(d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def _folded(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
     """(x, y), turned about the diamond's side |x| + |y| = 1 where z < 0; its own inverse."""
-    turned_x, turned_y = (1 - y.abs()).copysign(x), (1 - x.abs()).copysign(y)
+    turned_x = (1 - y.abs()).copysign(x)
+    turned_y = (1 - x.abs()).copysign(y)
     return torch.where(z < 0, turned_x, x), torch.where(z < 0, turned_y, y)
 
 

@@ -47,7 +47,8 @@ class Surface:
 
     def __init__(self, vertices: Tensor, faces: Tensor) -> None:
         points = vertices.detach().cpu().double()
-        low, high = points.amin(0), points.amax(0)
+        low = points.amin(0)
+        high = points.amax(0)
         self.centre = (low + high) / 2
         self.radius = max(float((points - self.centre).norm(dim=1).max()), 1e-30)
         self.threads = os.cpu_count() or 1
@@ -77,7 +78,8 @@ class Surface:
         hit = {k: torch.from_numpy(np.concatenate([p[k] for p in parts])) for k in ("primID", "u", "v", "tfar", "Ng")}
         triangle = hit["primID"].long()
         miss = triangle < 0
-        u, v = hit["u"], hit["v"]
+        u = hit["u"]
+        v = hit["v"]
         barycentric = torch.stack([1 - u - v, u, v], -1).masked_fill(miss[:, None], 0.0)
         distance = (hit["tfar"].double() * self.radius).float().masked_fill(miss, torch.inf)
         # embreex gives Ng = (v1 - v0) x (v2 - v0): against the ray where it meets the counter-clockwise side.

@@ -170,7 +170,8 @@ def local_coefficients(values: Tensor, m: int) -> Tensor:
 def resampled_light(coefficients: Tensor, frames: Tensor, target: Grid, samples: int = SAMPLES) -> Tensor:
     """As `local_light` of `resampling`, without tables: the samples are looked up anew. Differentiable."""
     source = Octahedral(coefficients.shape[-1])
-    values, m = haar.synthesise(coefficients).flatten(1).T.contiguous(), target.shape[-1]
+    values = haar.synthesise(coefficients).flatten(1).T.contiguous()
+    m = target.shape[-1]
     local = target.samples(samples).to(values)
     parts = []
     for some in _blocks(frames.to(values), len(local)):
@@ -184,10 +185,12 @@ def haar_matrix(n: int) -> Tensor:
     """W_N^T (N, N), sparse CSR, float64: row t holds the value in cell t of every basis function of `ops.haar`."""
     at = torch.arange(n)
     row, column = (x.flatten() for x in torch.meshgrid(at, at, indexing="ij"))
-    columns, values = [torch.zeros_like(row)], [torch.full(row.shape, 1 / n, dtype=torch.float64)]
+    columns = [torch.zeros_like(row)]
+    values = [torch.full(row.shape, 1 / n, dtype=torch.float64)]
     h = 1
     while h < n:
-        i, k = row * h // n, column * h // n
+        i = row * h // n
+        k = column * h // n
         down, right = (1 - 2 * (x * 2 * h // n % 2).double() for x in (row, column))
         columns += [i * n + h + k, (h + i) * n + k, (h + i) * n + h + k]
         values += [right * h / n, down * h / n, right * down * h / n]

@@ -39,7 +39,8 @@ RIM = 10 / 7  # of the widest lobe: where the level is taken that lobes stand ou
 RINGS = (16, 32)  # inside of MIRROR, and from there to the rim
 TURNS = 16
 SWEEPS = 40  # of the Gaussians about the mirror direction
-FINEST, NODES = 1e-4, 64  # of the quadrature of the light that lobes reflect (`albedo.nodes`)
+FINEST = 1e-4
+NODES = 64  # of the quadrature of the light that lobes reflect (`albedo.nodes`)
 ARCS = {True: 16, False: 32}  # of the same, for an isotropic BRDF and for another
 STEPS = 24  # of the mixture
 LEAST = 1e-3  # of the light: a lobe that would reflect less has none, so that it need not be looked up
@@ -113,7 +114,8 @@ def taken(functions: Sequence[Function], wo: Tensor, angles: Sequence[float] = A
     wi, weights = nodes(wo, FINEST, NODES, turns)
     out = wo.double()[:, None].expand_as(wi)
     angle = lobes.from_mirror(wi, out)
-    light, shares = [], []
+    light = []
+    shares = []
     for f in functions:
         found = separate(f, wo, angles)
         columns = Lobes(*(part.double()[..., None] for part in found))
@@ -136,11 +138,14 @@ def axes_of(rows: Sequence[Taken], angles: Sequence[float]) -> Tensor:
     """
     theta = torch.atan2(rows[0].wo[:, :2].norm(dim=1), rows[0].wo[:, 2]).double()
     most = torch.stack([row.total.amax() for row in rows]).amax().clamp(min=torch.finfo(torch.float64).tiny)
-    shares, bend = [row.shares for row in rows], theta.new_zeros(len(angles), len(theta))
+    shares = [row.shares for row in rows]
+    bend = theta.new_zeros(len(angles), len(theta))
     mirrors = [mirror(row.wo) for row in rows]
     rises = [_rise(axis) for axis in mirrors]
     for _ in range(STEPS):
-        table, along, up = _table(theta, bend), torch.zeros_like(bend), torch.zeros_like(bend)
+        table = _table(theta, bend)
+        along = torch.zeros_like(bend)
+        up = torch.zeros_like(bend)
         for i, (row, axis, rise) in enumerate(zip(rows, mirrors, rises, strict=True)):
             density = _density(lobes.lean(table, row.wo), row.wi, angles)
             weighted = shares[i] * (row.total / most).float()[..., None]
@@ -154,7 +159,8 @@ def axes_of(rows: Sequence[Taken], angles: Sequence[float]) -> Tensor:
 
 def reflectances(light: Taken, angles: Sequence[float], axes: Tensor) -> Tensor:
     """The fraction (h, k, t), float64, of the light from wo that each lobe reflects; axes (2, k, t) (`lobes.lean`)."""
-    density, shares = _density(lobes.lean(axes, light.wo), light.wi, angles), light.shares
+    density = _density(lobes.lean(axes, light.wo), light.wi, angles)
+    shares = light.shares
     for _ in range(STEPS):
         _, shares = _step(light.light, shares, density)
     shares = (shares.double() - LEAST).clamp(min=0)
@@ -250,7 +256,8 @@ def _rings(rim: float) -> tuple[Tensor, Tensor]:
     inner = torch.linspace(0, MIRROR, RINGS[0] + 1, dtype=torch.float64)
     outer = torch.linspace(MIRROR, rim, RINGS[1] + 1, dtype=torch.float64)
     edges = torch.cat((inner, outer[1:])).deg2rad()
-    middle, half = (edges[1:] + edges[:-1]) / 2, edges.diff() / 2
+    middle = (edges[1:] + edges[:-1]) / 2
+    half = edges.diff() / 2
     return middle, 4 * math.pi * middle.sin() * half.sin()
 
 
@@ -263,6 +270,7 @@ def _around(axis: Tensor, rings: Tensor) -> Tensor:
     y = torch.linalg.cross(axis, x)
     turns = (torch.arange(TURNS, dtype=torch.float64) + 0.5) * (2 * math.pi / TURNS)
     circle = turns.cos().to(axis)[:, None] * x[..., None, :] + turns.sin().to(axis)[:, None] * y[..., None, :]
-    sin, cos = rings.sin().to(axis)[:, None, None], rings.cos().to(axis)[:, None, None]
+    sin = rings.sin().to(axis)[:, None, None]
+    cos = rings.cos().to(axis)[:, None, None]
     directions: Tensor = sin * circle[..., None, :, :] + cos * axis[..., None, None, :]
     return directions

@@ -74,14 +74,16 @@ class Points(NamedTuple):
 
 def shade(functions: Functions, coats: Coats, at: Points) -> Tensor:
     """B (p, c); differentiable in the light, the weights and the colours."""
-    n, count = functions.dull.shape[0], len(at.region)
+    n = functions.dull.shape[0]
+    count = len(at.region)
     step = max(1, _VALUES // (n * 8))
     return torch.cat([_shaded(functions, coats, at.part(k, k + step)) for k in range(0, max(1, count), step)])
 
 
 def _shaded(functions: Functions, coats: Coats, at: Points) -> Tensor:
     light, visibility, dull, glossy = functions
-    region, factor = at.region.long(), torch.zeros(())
+    region = at.region.long()
+    factor = torch.zeros(())
     for i, (diffuse, specular, first) in enumerate(zip(*coats, strict=True)):
         share = at.second if i else 1 - at.second if len(coats.first) == 2 else torch.ones_like(at.second)
         mirrored = at.view.mix(glossy.at(at.view.rows + first[region][:, None]))[:, None]

@@ -83,7 +83,8 @@ class Located(NamedTuple):
 
 def located(position: Tensor, frames: Tensor, sampled: Tensor) -> Located:
     """Points (v, 3) with frames (v, 3, 3) among those (n * n, 3, 3) of the normals `Octahedral(n).directions()`."""
-    normal, tangent = frames[:, 2], frames[:, 0]
+    normal = frames[:, 2]
+    tangent = frames[:, 0]
     near, weights = corners(octahedral(normal), math.isqrt(len(sampled)), wrap=True)
     around = sampled.to(frames)[near]  # shape: (v, 4, 3, 3)
     x, y, _ = torch.einsum("vkax,vkx->akv", around, _leaned(tangent[:, None], normal[:, None], around[:, :, 2]))
@@ -157,7 +158,8 @@ def reflected(light: Tensor, slices: Slices, first: Tensor, frames: Tensor, at: 
     eye (3,), or directions (3, v) from the points to the viewer; from behind, points look as from the mirrored side
     """
     which = first + _view_cell(slices.views, frames, at, eye)
-    parts, step = [], max(1, _VALUES // (slices.terms.shape[1] * 16))
+    parts = []
+    step = max(1, _VALUES // (slices.terms.shape[1] * 16))
     for some, near, weights in zip(*(x.split(step, 1) for x in (which, at.near, at.weights)), strict=True):
         values = slices.values[some].to(light) * weights[..., None].to(light)
         picked = light[near[..., None].long(), slices.terms[some].long()]  # shape: (4, v, t, c)
@@ -191,9 +193,11 @@ def _projected(m: int, samples: int) -> Tensor:
 
 def _dense(f: BRDF, m: int, wo: Tensor, twists: int, samples: int) -> Iterator[Tensor]:
     """Slices (b, M) in texels for directions of view (v, 3), in blocks, float32."""
-    wi, weight = HemiOctahedral(m).samples(samples).float(), _projected(m, samples).float()
+    wi = HemiOctahedral(m).samples(samples).float()
+    weight = _projected(m, samples).float()
     for k in range(twists):
-        c, s = math.cos(2 * math.pi * k / twists), math.sin(2 * math.pi * k / twists)
+        c = math.cos(2 * math.pi * k / twists)
+        s = math.sin(2 * math.pi * k / twists)
         turned = torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # into the frame of the tangent
         for some in wo.split(max(1, _VALUES // len(wi))):
             values = f(wi @ turned, (some @ turned)[:, None]) * weight
@@ -212,11 +216,14 @@ def _mirrored(order: Tensor, values: Tensor, m: int, eighth: Tensor) -> tuple[Te
     number = torch.full(eighth.shape, -1)
     number[eighth] = torch.arange(len(order))
     rows, columns = torch.meshgrid(torch.arange(views), torch.arange(views), indexing="ij")
-    up, left = rows < views // 2, columns < views // 2
-    row, column = torch.where(up, views - 1 - rows, rows), torch.where(left, views - 1 - columns, columns)
+    up = rows < views // 2
+    left = columns < views // 2
+    row = torch.where(up, views - 1 - rows, rows)
+    column = torch.where(left, views - 1 - columns, columns)
     swapped = row > column
     source = number[torch.minimum(row, column), torch.maximum(row, column)].flatten()
-    order, values = order[source].long(), values[source]
+    order = order[source].long()
+    values = values[source]
     flipped, sign = _flip(m)
     over = order % m * m + order // m  # rows and columns swapped
     order = torch.where(swapped.flatten()[:, None], over, order)

@@ -115,8 +115,10 @@ class Squares(Grid):
             yield self._block_sums(values * weights, k) / self._block_sums(weights, k)
 
     def _block_sums(self, values: Tensor, k: int) -> Tensor:
-        lead, rest = len(self.shape) - 2, values.shape[len(self.shape) :]
-        rows, columns = values.shape[lead] // k, values.shape[lead + 1] // k
+        lead = len(self.shape) - 2
+        rest = values.shape[len(self.shape) :]
+        rows = values.shape[lead] // k
+        columns = values.shape[lead + 1] // k
         return values.reshape(*values.shape[:lead], rows, k, columns, k, *rest).sum(dim=(lead + 1, lead + 3))
 
     def _edges(self) -> tuple[Tensor, Tensor]:
@@ -193,7 +195,8 @@ class Cube(Squares):
         axis = d.abs().argmax(dim=-1, keepdim=True)
         major = d.gather(-1, axis)
         x, y, z = (d / major.abs()).unbind(-1)
-        axis, positive = axis[..., 0], major[..., 0] > 0
+        axis = axis[..., 0]
+        positive = major[..., 0] > 0
         sign = torch.where(positive, 1.0, -1.0)
         s = torch.where(axis == 0, -sign * z, torch.where(axis == 1, x, sign * x))
         t = torch.where(axis == 1, sign * z, -y)
@@ -266,7 +269,8 @@ class Disk(Squares):
         near_y, near_x = crossed(_nearest_zero(2 * rows - 1), _nearest_zero(2 * columns - 1))
         y, x = crossed(2 * centres(rows) - 1, 2 * centres(columns) - 1)
         step = _step_within_circle(near_x, near_y, x - near_x, y - near_y)
-        x, y = near_x + step * (x - near_x), near_y + step * (y - near_y)
+        x = near_x + step * (x - near_x)
+        y = near_y + step * (y - near_y)
         z = (1 - x * x - y * y).clamp(min=0).sqrt()
         return unit(torch.stack((x, y, z), dim=-1))
 
@@ -285,16 +289,22 @@ def triangle_solid_angles(p: Tensor, q: Tensor, r: Tensor, volume: Tensor | None
     """
     if volume is None:
         volume = (p * torch.linalg.cross(q, r)).sum(-1).abs()
-    lp, lq, lr = p.norm(dim=-1), q.norm(dim=-1), r.norm(dim=-1)
-    pq, qr, rp = (p * q).sum(-1), (q * r).sum(-1), (r * p).sum(-1)
+    lp = p.norm(dim=-1)
+    lq = q.norm(dim=-1)
+    lr = r.norm(dim=-1)
+    pq = (p * q).sum(-1)
+    qr = (q * r).sum(-1)
+    rp = (r * p).sum(-1)
     return 2 * torch.atan2(volume, lp * lq * lr + pq * lr + qr * lp + rp * lq)
 
 
 def turn(axis: int, degrees: float) -> Tensor:
     """Right-handed rotation (3, 3) about axis 0, 1 or 2 by degrees, float64."""
     matrix = torch.eye(3, dtype=torch.float64)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    c, s = cos(radians(degrees)), sin(radians(degrees))
+    i = (axis + 1) % 3
+    j = (axis + 2) % 3
+    c = cos(radians(degrees))
+    s = sin(radians(degrees))
     matrix[i, i], matrix[i, j], matrix[j, i], matrix[j, j] = c, -s, s, c
     return matrix
 
@@ -316,7 +326,9 @@ def _step_within_circle(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor) -> Tensor:
 
     1 (the centre) where the centre is inside the circle, halfway to the circle where it is not.
     """
-    a, b, c = dx * dx + dy * dy, x * dx + y * dy, x * x + y * y - 1
+    a = dx * dx + dy * dy
+    b = x * dx + y * dy
+    c = x * x + y * y - 1
     crossing = (-b + (b * b - a * c).clamp(min=0).sqrt()) / a
     return torch.where(a + 2 * b + c < 0, 1.0, crossing.clamp(min=0) / 2)
 

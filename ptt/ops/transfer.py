@@ -90,7 +90,8 @@ def lobe_visibility(
 def _lobe_filters(cells: int, fine: int, angles: tuple[float, ...]) -> Tensor:
     """Weights (fine * fine, cells * cells * k) that sum to 1 over the fine cells of the hemisphere."""
     grid = HemiOctahedral(fine)
-    wi, solid = grid.directions().reshape(-1, 3), grid.solid_angles().flatten()
+    wi = grid.directions().reshape(-1, 3)
+    solid = grid.solid_angles().flatten()
     axes = HemiOctahedral(cells).directions().reshape(-1, 3)
     angle = lobes.between(axes[:, None], wi)  # shape: (cells^2, fine^2)
     weight = torch.stack([lobes.gaussian(angle, a) for a in angles], 1) * (solid * wi[:, 2])

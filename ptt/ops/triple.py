@@ -52,14 +52,17 @@ def integral(f: Tensor, g: Tensor, h: Tensor, roots: int = geodesic.ROOTS) -> Te
     """The integrals (...) of products of three functions (..., n), in O(n)."""
     means = [x[..., :roots] for x in (f, g, h)]
     total = (means[0] * means[1] * means[2]).sum(-1)
-    signs, area, first = geodesic.SIGNS.to(f), 1.0, roots
+    signs = geodesic.SIGNS.to(f)
+    area = 1.0
+    first = roots
     while first < f.shape[-1]:
         d = [x[..., first : 4 * first].unflatten(-1, (-1, 3)) for x in (f, g, h)]
         twice = sum((d[a] * d[b]).sum(-1) * means[c] for a, b, c in ((0, 1, 2), (0, 2, 1), (1, 2, 0)))
         thrice = sum(d[0][..., a] * d[1][..., b] * d[2][..., c] for a, b, c in PERMUTED)
         total = total + area * (twice + thrice).sum(-1)
         means = [(m[..., None] + x @ signs).flatten(-2) for m, x in zip(means, d, strict=True)]
-        first, area = 4 * first, area / 4
+        first = 4 * first
+        area = area / 4
     return total
 
 
@@ -90,7 +93,8 @@ def from_square(coefficients: Tensor) -> Tensor:
     The children of a square are its quarters, row by row; horizontal, vertical, diagonal details are types 1, 2, 0.
     """
     n = coefficients.shape[-1]
-    parts, h = [coefficients[..., :1, 0] / n], 1
+    parts = [coefficients[..., :1, 0] / n]
+    h = 1
     while h < n:
         blocks = (coefficients[..., :h, h : 2 * h], coefficients[..., h : 2 * h, :h])
         diagonal = coefficients[..., h : 2 * h, h : 2 * h]
@@ -104,8 +108,10 @@ def _quarters(h: int) -> Tensor:
     """Squares (h * h,) of a grid in the order of a tree of quarters."""
     order = torch.zeros(1, dtype=torch.int64)
     for k in range(h.bit_length() - 1):
-        row, column = (order >> k)[:, None], (order & (1 << k) - 1)[:, None]
-        row, column = 2 * row + torch.tensor([0, 0, 1, 1]), 2 * column + torch.tensor([0, 1, 0, 1])
+        row = (order >> k)[:, None]
+        column = (order & (1 << k) - 1)[:, None]
+        row = 2 * row + torch.tensor([0, 0, 1, 1])
+        column = 2 * column + torch.tensor([0, 1, 0, 1])
         order = (row * (2 << k) + column).flatten()
     return order
 

@@ -23,7 +23,8 @@ st-hosvd: shortest axis first, each on what the axes before it left (Vannieuwenh
 hooi: then each axis on the projection on all others, until the core stops growing (De Lathauwer, same volume, 1324)."""
 
 Slices = Sequence[Tensor] | Tensor  # A[k] (n2, .., nk): a list, a memory-mapped tensor, an object that computes them
-_MAX_SWEEPS, _MIN_GAIN = 50, 1e-8  # of hooi; the gain of the core's norm, relative
+_MAX_SWEEPS = 50
+_MIN_GAIN = 1e-8  # of hooi; the gain of the core's norm, relative
 _CHUNK = 1 << 22  # elements that are float64 at a time: 32 MiB
 
 
@@ -85,7 +86,8 @@ def decompose_slices(slices: Slices, *, ranks: Sequence[int] | None = None, erro
     if not len(slices):
         raise ValueError("slices must not be empty")
     first = slices[0]
-    dtype, shape = first.dtype, (len(slices), *first.shape)
+    dtype = first.dtype
+    shape = (len(slices), *first.shape)
     grams = [first.new_zeros(n, n, dtype=torch.float64) for n in first.shape]
     del first  # before the next one is asked for
     head, *wanted = _checked_ranks(shape, ranks, error)
@@ -105,7 +107,8 @@ def relative_error(fit: Tucker, tensor: Slices) -> float:
     A zero tensor gives 0 for a zero fit, else inf; ValueError if the tensor does not have the shape of the fit.
     """
     core, (head, *factors) = fit.core.double(), [factor.double() for factor in fit.factors]
-    shape, expected = (len(tensor), *tensor[0].shape), tuple(len(factor) for factor in fit.factors)
+    shape = (len(tensor), *tensor[0].shape)
+    expected = tuple(len(factor) for factor in fit.factors)
     if shape != expected:
         raise ValueError(f"tensor must have the shape {expected} of the fit, got {shape}")
     rows = (multiply(torch.tensordot(row, core, dims=1), factors) for row in head)
@@ -116,13 +119,15 @@ def relative_error(fit: Tucker, tensor: Slices) -> float:
 
 def multiply(core: Tensor, factors: Sequence[Tensor]) -> Tensor:
     """core (r1, .., rk) times a matrix (n, r) on every axis -> (n1, .., nk)."""
-    small, large = string.ascii_lowercase[: core.ndim], string.ascii_uppercase[: core.ndim]
+    small = string.ascii_lowercase[: core.ndim]
+    large = string.ascii_uppercase[: core.ndim]
     pairs = (a + b for a, b in zip(large, small, strict=True))
     return torch.einsum(f"{','.join((small, *pairs))}->{large}", core, *factors)
 
 
 def _hosvd(tensor: Tensor, ranks: Sequence[int | None], budget: float, sequential: bool) -> Tucker:
-    core, factors = tensor, [tensor] * tensor.ndim
+    core = tensor
+    factors = [tensor] * tensor.ndim
     for axis in sorted(range(tensor.ndim), key=lambda k: tensor.shape[k]):
         factors[axis] = _leading(core if sequential else tensor, axis, ranks[axis], budget)
         core = _project(core, factors, [axis])

@@ -84,7 +84,8 @@ def view(regions: Sequence[Seen], outgoing: Tensor) -> Tensor:
 
 def _radiance(points: Points, eye: Tensor, sent: Sent, gloss: Gloss | None, outgoing: Tensor) -> Tensor:
     wo = _toward(points, eye)
-    values, o = sent.values.to(outgoing.dtype), 1 + outgoing.shape[1]
+    values = sent.values.to(outgoing.dtype)
+    o = 1 + outgoing.shape[1]
     factors = mix(outgoing, *corners(wo.T[:, :2], _side(outgoing), wrap=False))
     diffuse = values[:, :, 0]
     if points.colour is not None:

@@ -86,7 +86,8 @@ def radiance(
     """
     _check(points, wo, len(scene.regions))
     paths = Paths(scene, environment, materials, **settings)
-    origin, frame = scene.surface.offset(points.position, points.frame[:, 2]), points.frame.float()
+    origin = scene.surface.offset(points.position, points.frame[:, 2])
+    frame = points.frame.float()
     start = Vertices(origin, frame, points.region, points.colour.float(), to_local(frame, wo.float()))
     return paths.estimate(start)
 
@@ -163,5 +164,6 @@ def _check(points: Points, wo: Tensor, regions: int) -> None:
     if wo.shape != (n, 3):
         raise ValueError(f"wo must be {(n, 3)}, one direction a point, got {tuple(wo.shape)}")
     if n and not 0 <= int(points.region.min()) <= int(points.region.max()) < regions:
-        low, high = int(points.region.min()), int(points.region.max())
+        low = int(points.region.min())
+        high = int(points.region.max())
         raise ValueError(f"points.region must index {regions} regions, got {low}..{high}")

@@ -66,10 +66,14 @@ class Paths:
         missing = [region.name for region in scene.regions if region.name not in materials]
         if missing:
             raise ValueError(f"materials must cover every region of the scene, got none for {', '.join(missing)}")
-        self.scene, self.environment, self.sampler = scene, environment, environment.sampler()
+        self.scene = scene
+        self.environment = environment
+        self.sampler = environment.sampler()
         self.materials = [materials[region.name] for region in scene.regions]
         self.mixtures = [_mixture(material) for material in self.materials]
-        self.bounces, self.samples, self.progress = bounces, samples, progress
+        self.bounces = bounces
+        self.samples = samples
+        self.progress = progress
         self.random = torch.Generator().manual_seed(seed)
 
     @cached_property
@@ -119,12 +123,16 @@ class Paths:
 
     def _trace(self, at: Vertices, u: Tensor, random: torch.Generator) -> Tensor:
         """Light (n, 3) along one path from each vertex; u (n, 5): random numbers for the first."""
-        light, weight, path = torch.zeros_like(at.wo), torch.ones_like(at.wo), torch.arange(len(at.wo))
+        light = torch.zeros_like(at.wo)
+        weight = torch.ones_like(at.wo)
+        path = torch.arange(len(at.wo))
         for left in range(self.bounces, -1, -1):
             rows, value = self._towards_light(at, u[:, :2])
             light.index_add_(0, _pick(path, rows), _pick(weight, rows) * value)
             rows, world, factor, density = self._towards_brdf(at, u[:, 2:])
-            path, weight, origin = _pick(path, rows), _pick(weight, rows) * factor, _pick(at.origin, rows)
+            path = _pick(path, rows)
+            weight = _pick(weight, rows) * factor
+            origin = _pick(at.origin, rows)
             hits = None if left == 0 else self.scene.surface.first_hit(origin, world)
             missed = ~self.scene.surface.occluded(origin, world) if hits is None else hits.triangle < 0
             out = torch.nonzero(missed)[:, 0]
@@ -132,7 +140,9 @@ class Paths:
             light.index_add_(0, _pick(path, out), _pick(weight, out) * beyond)
             if hits is not None:
                 rows, at = self.arrive(hits, world)
-                path, weight, u = _pick(path, rows), _pick(weight, rows), _uniform(len(rows), random)
+                path = _pick(path, rows)
+                weight = _pick(weight, rows)
+                u = _uniform(len(rows), random)
         return light
 
     def _beyond(self, world: Tensor, density: Tensor) -> Tensor:
@@ -146,7 +156,9 @@ class Paths:
         rows = torch.nonzero((at.frame[:, 2] * world).sum(1) > GRAZING)[:, 0]
         free = ~self.scene.surface.occluded(_pick(at.origin, rows), _pick(world, rows))
         rows = _pick(rows, torch.nonzero(free)[:, 0])
-        at, world, density = at.take(rows), _pick(world, rows), _pick(density, rows)
+        at = at.take(rows)
+        world = _pick(world, rows)
+        density = _pick(density, rows)
         response, other = self._respond(at, to_local(at.frame, world))
         return rows, response * self.environment.radiance(world) / (density + other)[:, None]
 
@@ -159,15 +171,19 @@ class Paths:
         for index, rows in self._by_region(at):
             wi.index_copy_(0, rows, self.mixtures[index].sample(_pick(u, rows), _pick(at.wo, rows)))
         rows = torch.nonzero(wi[:, 2] > GRAZING)[:, 0]
-        at, wi = at.take(rows), _pick(wi, rows)
+        at = at.take(rows)
+        wi = _pick(wi, rows)
         response, density = self._respond(at, wi)
         return rows, _to_world(at.frame, wi), response / density[:, None], density
 
     def _respond(self, at: Vertices, wi: Tensor) -> tuple[Tensor, Tensor]:
         """BRDF x cosine (n, 3), and the density (n,) with which the BRDF would have drawn wi (n, 3), local."""
-        response, density = torch.empty_like(wi), torch.empty_like(wi[:, 0])
+        response = torch.empty_like(wi)
+        density = torch.empty_like(wi[:, 0])
         for index, rows in self._by_region(at):
-            i, o, colour = _pick(wi, rows), _pick(at.wo, rows), _pick(at.colour, rows)
+            i = _pick(wi, rows)
+            o = _pick(at.wo, rows)
+            colour = _pick(at.colour, rows)
             response.index_copy_(0, rows, self.materials[index].evaluate(i, o, colour))
             density.index_copy_(0, rows, self.mixtures[index].density(i, o))
         return response * wi[:, 2:], density
@@ -180,7 +196,8 @@ class Paths:
     def arrive(self, hits: Hits, directions: Tensor) -> tuple[Tensor, Vertices]:
         """The rays (k,) that hit a front seen from above the shading horizon, and the k vertices there."""
         rows = torch.nonzero(hits.front)[:, 0]
-        triangle, weights = _pick(hits.triangle, rows), _pick(hits.barycentric, rows)
+        triangle = _pick(hits.triangle, rows)
+        weights = _pick(hits.barycentric, rows)
         corners = _pick(self.corners, triangle).view(-1, 10, 3)
         position = corners[:, 0].double() + (corners[:, 1:3] * weights[:, 1:, None]).sum(1)
         frame = orthonormal(_mix(corners[:, 4:7], weights), _mix(corners[:, 7:10], weights))
@@ -211,7 +228,8 @@ def _mixture(material: Material) -> Mixture:
 
 
 def _share(material: Material, albedo: float) -> float:
-    specular, diffuse = number(material.specular.mean()) * albedo, number(material.diffuse.mean())
+    specular = number(material.specular.mean()) * albedo
+    diffuse = number(material.diffuse.mean())
     return min(max(specular / max(specular + diffuse, 1e-12), 0.1), 0.9)
 
 

@@ -98,7 +98,8 @@ class GGXLobe:
 
     def density(self, h: Tensor) -> Tensor:
         """(n, 3) -> (n,), the same for h and -h."""
-        a, cos = self.roughness**2, h[..., 2].abs()
+        a = self.roughness**2
+        cos = h[..., 2].abs()
         return (a / ((a * cos) ** 2 + _sin2(h))) ** 2 * cos / math.pi
 
 
@@ -140,14 +141,16 @@ def reflected_density(lobe: Lobe, wi: Tensor, wo: Tensor) -> Tensor:
 
 def _around_z(sin2: Tensor, turn: Tensor) -> Tensor:
     """Unit vectors (n, 3) above the horizon: squared sine of the angle to z, and turns (0..1) around it."""
-    sin, angle = sin2.sqrt(), turn * (2 * math.pi)
+    sin = sin2.sqrt()
+    angle = turn * (2 * math.pi)
     return torch.stack([sin * angle.cos(), sin * angle.sin(), (1 - sin2).clamp(min=0).sqrt()], -1)
 
 
 def _facets(slope: Tensor, turn: Tensor, mx: float | Tensor, my: float | Tensor) -> Tensor:
     """Unit vectors (n, 3) along (mx slope cos, my slope sin, 1), at turns (0..1) around z."""
     angle = turn * (2 * math.pi)
-    x, y = mx * slope * angle.cos(), my * slope * angle.sin()
+    x = mx * slope * angle.cos()
+    y = my * slope * angle.sin()
     return torch.nn.functional.normalize(torch.stack([x, y, torch.ones_like(x)], -1), dim=-1)
 
 

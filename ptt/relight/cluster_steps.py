@@ -85,7 +85,8 @@ class ClusterSteps(nn.Module):
     def __init__(self, model: TransferModel, compiled: bool) -> None:
         super().__init__()
         assert model.basis is not None
-        self.model, self.basis = model, model.basis
+        self.model = model
+        self.basis = model.basis
         self.register_buffer("to_factors", responses(model.brdf), persistent=False)
         self.register_buffer("to_harmonics", harmonics.hemispherical(ORDER).float(), persistent=False)
         self.register_buffer("blurs", blurs(model.brdf.angles).float(), persistent=False)
@@ -103,12 +104,15 @@ class ClusterSteps(nn.Module):
             self.register_buffer(name, samples, persistent=False)
         for name, chosen in zip(("rows", "keep"), slots.chosen(model.slots, model.basis.table.shape[1]), strict=True):
             self.register_buffer(name, chosen, persistent=False)
-        self._prepared, self._outgoing, self._materials = Cache(), Cache(), [Cache() for _ in model.clustered]
+        self._prepared = Cache()
+        self._outgoing = Cache()
+        self._materials = [Cache() for _ in model.clustered]
         self._ops = NATIVE if compiled else PLAIN
 
     def incident(self, environment: Environment) -> Lit:
         """Light step."""
-        angles, dtype = self.model.brdf.angles, self.to_factors.dtype
+        angles = self.model.brdf.angles
+        dtype = self.to_factors.dtype
         maps: LightMaps = self._prepared(environment.map, lambda: light_maps.light_maps(environment, angles))
         turn = environment.rotation.to(self.to_factors)
         shape = self.model.grid.shape
@@ -116,7 +120,9 @@ class ClusterSteps(nn.Module):
         fine, coarse, coarsest = (light[..., :n, :n].flatten(1) for n in (shape[-1], COARSE, COARSEST))
         lit = Lit([], maps.blurred.to(dtype), turn)
         for region in self.model.clustered:
-            e, q, pairs = region.eigenvectors, len(region.slots), len(region.pairs)
+            e = region.eigenvectors
+            q = len(region.slots)
+            pairs = len(region.pairs)
             direct = self._ops.light_eigen(region.direct, fine, region.columns).unflatten(2, (e, -1))
             reduced = self._ops.light_eigen(region.lighting, coarse)  # shape: (k, c, n)
             one = self._ops.light_eigen(region.one, reduced).unflatten(2, (q, e, ORDER**2))
@@ -136,7 +142,8 @@ class ClusterSteps(nn.Module):
         out = Exitant([], [])
         for r, (region, one) in enumerate(zip(self.model.clustered, dressed, strict=True)):
             last, first = self.get_buffer(f"pairs{r}").T
-            own, pairs = h[:, self.get_buffer(f"slots{r}")], h[:, last] * h[:, first]
+            own = h[:, self.get_buffer(f"slots{r}")]
+            pairs = h[:, last] * h[:, first]
             glossy = one.lobes is not None
             eigen = self._ops.eigen(
                 lit.arriving[r], own, pairs, one.coupling, Responses(self.to_factors, self.to_harmonics), glossy
@@ -146,17 +153,20 @@ class ClusterSteps(nn.Module):
         return out
 
     def _dressed(self, material: Material) -> Dressed:
-        brdf, shape = self.model.brdf, None
+        brdf = self.model.brdf
+        shape = None
         if material.shape is not None:
             shape = brdf.space.coordinates(material.shape)
-        functions, coupling = slots.functions_of(self.basis, material, shape), brdf.coupling(material, shape)
+        functions = slots.functions_of(self.basis, material, shape)
+        coupling = brdf.coupling(material, shape)
         if shape is None or not brdf.angles:
             return Dressed(functions, coupling, None)
         tables = brdf.lobe_tables(shape)
         which = torch.nonzero(tables.detach().abs().amax((1, 2)) > DULL)[:, 0]
         if not len(which):
             return Dressed(functions, coupling, None)
-        rho, axes = tables[which].flatten(1).T.contiguous(), brdf.axes[:, which].flatten(0, 1).T.contiguous()
+        rho = tables[which].flatten(1).T.contiguous()
+        axes = brdf.axes[:, which].flatten(0, 1).T.contiguous()
         specular = material.specular.to(rho)
         return Dressed(functions, coupling, Lobes(which, rho, axes, specular, self.blurs[which]))
 
@@ -170,7 +180,8 @@ class ClusterSteps(nn.Module):
     def radiance(self, exitant: Exitant, eye: Tensor) -> Tensor:
         """View step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
         u_o = self.model.brdf.u_o
-        outgoing, seen = self._outgoing(u_o, lambda: u_o.flatten(1).T.contiguous()), []
+        outgoing = self._outgoing(u_o, lambda: u_o.flatten(1).T.contiguous())
+        seen = []
         for r, (region, (first, end)) in enumerate(zip(self.model.clustered, self.model.receivers.spans, strict=True)):
             position, frame, colour = (self._buffers.get(f"{name}{r}") for name in ("position", "frame", "colour"))
             assert position is not None and frame is not None

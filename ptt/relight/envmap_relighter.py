@@ -130,8 +130,13 @@ class EnvMapRelighter(nn.Module):
         rotation = LightRotation.build() if rotation is None else rotation
         terms = min(TERMS, rotation.m**2) if terms is None else terms
         _check(scene, rotation, terms, rank, views, twists, keep, occlusion)
-        self.scene, self.rotation = scene, rotation
-        self.terms, self.rank, self.views, self.twists, self.keep = terms, rank, views, twists, keep
+        self.scene = scene
+        self.rotation = rotation
+        self.terms = terms
+        self.rank = rank
+        self.views = views
+        self.twists = twists
+        self.keep = keep
         for name, samples in zip(("directions", "shares"), light_maps.samples(Octahedral(rotation.n)), strict=True):
             self.register_buffer(name, samples, persistent=False)
         self.register_buffer("cosine", slices.cosine(rotation.m).float(), persistent=False)
@@ -139,7 +144,10 @@ class EnvMapRelighter(nn.Module):
         self.register_buffer("occlusion", shade, persistent=False)
         surface = Surface(scene.points, scene.frames, scene.colours, shade)
         self.vertices = nn.ModuleList(self._placed(surface, scene.vertex_region))
-        self._fine, self._incident, self._exitant, self._pixels = Cache(), Cache(), Cache(), Cache()
+        self._fine = Cache()
+        self._incident = Cache()
+        self._exitant = Cache()
+        self._pixels = Cache()
         self._cut = ShapeTables(self._slices)
 
     def forward(self, environment: Environment, materials: Mapping[str, Material], view: View | GBuffer) -> Tensor:
@@ -156,9 +164,11 @@ class EnvMapRelighter(nn.Module):
         own = dressed(self.scene.materials, materials)
         if isinstance(view, GBuffer):
             placed: list[Placed] = self._pixels(view, lambda: self._of_pixels(view))
-            points, eye = len(view.pixel), torch.tensor(view.camera.eye).to(self.cosine)
+            points = len(view.pixel)
+            eye = torch.tensor(view.camera.eye).to(self.cosine)
         else:
-            placed, points = self.placed, len(self.scene.vertices)
+            placed = self.placed
+            points = len(self.scene.vertices)
             eye = toward(view, self.scene.points.to(self.cosine))
         out = self.cosine.new_zeros(points, 3)
         for part, sent in zip(placed, self.exitant(environment, own, placed), strict=True):
@@ -197,7 +207,8 @@ class EnvMapRelighter(nn.Module):
 
     def _lit(self, fine: Tensor, environment: Environment) -> Lit:
         lighting = (native if self.rotation.compiled else relight).lighting
-        n, turn = self.rotation.n, environment.rotation.to(fine)
+        n = self.rotation.n
+        turn = environment.rotation.to(fine)
         light = lighting(fine, turn, self.directions, self.shares, (n, n))
         if self.keep is not None:
             light = haar.truncate(light.flatten(1), self.keep).to_dense(n * n).reshape(light.shape)
@@ -214,7 +225,8 @@ class EnvMapRelighter(nn.Module):
 
     def _radiance(self, part: Placed, sent: Sent, eye: Tensor) -> Tensor:
         """View step, of one region (v, 3)."""
-        cut, at = sent.cut, part.at
+        cut = sent.cut
+        at = part.at
         if cut is None:
             return sent.diffuse
         first: Tensor = part.first((at.twist, cut.terms), lambda: slices.first_slice(cut, at.twist))
@@ -227,7 +239,8 @@ class EnvMapRelighter(nn.Module):
     def _slices(self, shape: Shape | None) -> Slices | None:
         if shape is None:
             return None
-        m, twists = self.rotation.m, 1 if shape.isotropic else self.twists
+        m = self.rotation.m
+        twists = 1 if shape.isotropic else self.twists
         make = slices.tabulate if self.rank is None else slices.factorise
         kept = self.terms if self.rank is None else self.rank
         return make(shape.evaluate, m, self.views, kept, twists).to(self.cosine.device)

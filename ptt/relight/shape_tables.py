@@ -17,7 +17,8 @@ class ShapeTables(Generic[T]):
     """make(shape) of a shape with its parameters as they are now, on a device; None is a shape too."""
 
     def __init__(self, make: Callable[[Shape | None], T]) -> None:
-        self._make, self._kept = make, dict[object, T]()
+        self._make = make
+        self._kept = dict[object, T]()
 
     def __call__(self, shape: Shape | None, device: torch.device) -> T:
         """The table of a shape.

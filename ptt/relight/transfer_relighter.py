@@ -37,7 +37,8 @@ class TransferRelighter(nn.Module):
         super().__init__()
         self.model = model
         self.steps = (ClusterSteps if len(model.regions) else PointSteps)(model, compiled)
-        self._incident, self._exitant = Cache(), Cache()
+        self._incident = Cache()
+        self._exitant = Cache()
         self._parts = list(model.modules())
 
     def forward(self, environment: Environment, materials: Mapping[str, Material], view: View) -> Tensor:

@@ -116,9 +116,16 @@ class TripleProductRelighter(nn.Module):
                 raise ValueError(f"{name} must be in {least}..{most}, got {value}")
         if storage not in STORAGE:
             raise ValueError(f"storage must be one of {', '.join(STORAGE)}, got {storage!r}")
-        self.scene, self.atlas, self.grid, self.storage = scene, atlas, Geodesic(level), STORAGE[storage]
+        self.scene = scene
+        self.atlas = atlas
+        self.grid = Geodesic(level)
+        self.storage = STORAGE[storage]
         source = max(32, 8 << level) if source is None else source
-        self.normals, self.twists, self.source, self.views, self.compiled = normals, twists, source, views, compiled
+        self.normals = normals
+        self.twists = twists
+        self.source = source
+        self.views = views
+        self.compiled = compiled
         own = rotation.frames_of(Octahedral(normals).directions().reshape(-1, 3))
         _check_memory(self.grid.cells, len(own) * twists, views**2, len(atlas.triangle if atlas else scene.vertices))
         s = rotation.resampling(Octahedral(source), self.grid, turned(own, twists))
@@ -128,8 +135,13 @@ class TripleProductRelighter(nn.Module):
         tables |= dict(zip(("directions", "shares"), light_maps.samples(Octahedral(source)), strict=True))
         for name, tensor in tables.items():
             self.register_buffer(name, in_large_pages(tensor))
-        self._fine, self._light, self._vertices, self._pixels = Cache(), Cache(), Cache(), Cache()
-        self._view, self._second, self._glossy = Cache(), Cache(), Cache()
+        self._fine = Cache()
+        self._light = Cache()
+        self._vertices = Cache()
+        self._pixels = Cache()
+        self._view = Cache()
+        self._second = Cache()
+        self._glossy = Cache()
         self._tables: ShapeTables[Table] = ShapeTables(self._table)
 
     def forward(
@@ -179,7 +191,8 @@ class TripleProductRelighter(nn.Module):
     def prerotated(self, environment: Environment, progress: bool = False) -> Table:
         """The same from a finer map with more samples, as the paper's tables are made before anything is drawn."""
         side, samples = PREROTATED
-        maps, parts = light_maps.light_maps(environment, ()), []
+        maps = light_maps.light_maps(environment, ())
+        parts = []
         directions, shares = (x.to(self.dull) for x in light_maps.samples(Octahedral(side)))
         frames = turned(self.frames.cpu().double(), self.twists)
         with tqdm(total=len(frames), desc="rotations", unit=" frames", disable=not progress) as bar:
@@ -228,7 +241,8 @@ class TripleProductRelighter(nn.Module):
     ) -> Located:
         if len(triangle) and int(triangle.max()) >= len(self.scene.faces):
             raise ValueError("view must be a GBuffer of this relighter's scene: GBuffer.of(scene, camera)")
-        ops, device = native if self.compiled else near, self.dull.device
+        ops = native if self.compiled else near
+        device = self.dull.device
         light = ops.of_frames(frames, self.frames.cpu(), self.twists, brushed)
         if self.atlas is not None:
             seen = ops.of_texels(self.atlas.corner_uv, triangle, barycentric, self.atlas.rows)
@@ -288,7 +302,9 @@ def _brushed(material: Material | Mixed) -> bool:
 def turned(frames: Tensor, twists: int) -> Tensor:
     """Frames (f * twists, 3, 3) of frames (f, 3, 3): their tangents turned about the normal, evenly all around."""
     angle = torch.arange(twists, dtype=torch.float64) * (2 * math.pi / twists)
-    c, s, o = angle.cos(), angle.sin(), torch.zeros_like(angle)
+    c = angle.cos()
+    s = angle.sin()
+    o = torch.zeros_like(angle)
     turns = torch.stack((c, s, o, -s, c, o, o, o, o + 1), -1).reshape(-1, 3, 3).to(frames)
     return torch.einsum("tab,fbx->ftax", turns, frames).reshape(-1, 3, 3)
 
@@ -296,7 +312,8 @@ def turned(frames: Tensor, twists: int) -> Tensor:
 def _traced(scene: Scene, atlas: Atlas | None, grid: Geodesic, rays: int, progress: bool) -> Tensor:
     """Visibility (v, n) uint8 of every vertex, or (t, n) of every texel in use."""
     if atlas is None:
-        points, frames = scene.points, scene.frames
+        points = scene.points
+        frames = scene.frames
     else:
         points = atlas.mixed(scene, scene.vertices)
         frames = scene.frames_at(atlas.triangle, atlas.barycentric)

@@ -49,7 +49,8 @@ class Camera:
 
     def orbited(self, degrees: float) -> Camera:
         """The camera turned about the vertical axis through its target; positive = right-handed."""
-        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+        c = math.cos(math.radians(degrees))
+        s = math.sin(math.radians(degrees))
         x, y, z = (e - t for e, t in zip(self.eye, self.target, strict=True))
         around = (self.target[0] + c * x + s * z, self.target[1] + y, self.target[2] - s * x + c * z)
         return replace(self, eye=around)
@@ -59,7 +60,8 @@ class Camera:
         return torch.tensor(self._axes(), dtype=torch.float64)
 
     def _axes(self) -> tuple[Vector, Vector, Vector]:
-        (ex, ey, ez), (tx, ty, tz) = self.eye, self.target
+        (ex, ey, ez) = self.eye
+        (tx, ty, tz) = self.target
         ahead = _unit((tx - ex, ty - ey, tz - ez))
         right = _cross(ahead, _unit(self.up))
         right = _unit(right) if math.hypot(*right) > 1e-9 else (math.nan, math.nan, math.nan)

@@ -57,7 +57,8 @@ def prepare(parts: Sequence[Part]) -> list[Prepared]:
             prepared.append(_prepare(part))
         except ValueError as error:
             raise ValueError(f"region {part.name!r}: {error}") from None
-    dropped, renewed = sum(p.dropped for p in prepared), sum(p.renewed for p in prepared)
+    dropped = sum(p.dropped for p in prepared)
+    renewed = sum(p.renewed for p in prepared)
     if dropped or renewed:
         counts = f"{dropped} triangles without area dropped, {renewed} vertices without a normal given one"
         warnings.warn(f"mesh repaired: {counts}", UserWarning, stacklevel=4)
@@ -65,11 +66,13 @@ def prepare(parts: Sequence[Part]) -> list[Prepared]:
 
 
 def _prepare(part: Part) -> Prepared:
-    vertices, faces = torch.as_tensor(part.vertices), torch.as_tensor(part.faces)
+    vertices = torch.as_tensor(part.vertices)
+    faces = torch.as_tensor(part.faces)
     vertices = vertices.float() if vertices.is_floating_point() else vertices
     mesh.check_mesh(vertices, faces)
     sound = mesh.sound_faces(vertices, faces)
-    faces, dropped = faces.long()[sound], int((~sound).sum())
+    faces = faces.long()[sound]
+    dropped = int((~sound).sum())
     if not len(faces):
         raise ValueError(f"faces (f, 3) must hold a triangle with an area: all {dropped} have none")
     count = len(vertices)

@@ -84,7 +84,8 @@ def _load_toml(path: Path) -> Scene:
     _known(path.name, table, ("environment", "hidden", "camera", "region"))
     if not isinstance(table.get("region"), list):
         raise ValueError(f"{path.name} must hold at least one [[region]]")
-    environment, camera = None, None
+    environment = None
+    camera = None
     if "environment" in table:
         environment = Environment.load(find(table["environment"], path.parent))
     if "camera" in table:

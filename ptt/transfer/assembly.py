@@ -27,7 +27,8 @@ from ptt.transfer.raw import RawTransfer
 BLOCK_BYTES = 5e6  # of T0 at once: what stays in the cache is transformed three times as fast
 POINTS = 32  # whose T1 is worked out at once
 ALWAYS = 1e9  # weight of the means of the faces
-AXES, FEWEST = 128, 32  # of the lighting of T1
+AXES = 128
+FEWEST = 32  # of the lighting of T1
 SAMPLE = 768  # points whose T1 decides the axes
 LARGEST = 1e3  # of a 16-bit number, with room above
 TYPICAL = 0.5  # weight of a part of a material
@@ -128,7 +129,9 @@ def direct_light(raw: RawTransfer, brdf: TensorBRDF, coefficients: int | None, p
         raise ValueError(f"coefficients must be in 6..{grid.cells}, got {keep}")
     weights = torch.outer(brdf.importance(), natural(grid, ALWAYS)).flatten()
     coarse = min(COARSE, grid.n)
-    parts, whole, left = [], 0.0, 0.0
+    parts = []
+    whole = 0.0
+    left = 0.0
     with tqdm(total=len(raw.receivers), desc="direct light", unit=" points", disable=not progress) as bar:
         for t0 in _blocks(raw, grid, brdf.u_i):
             largest = haar.truncate(t0.flatten(1), keep * t0.shape[1], weights)
@@ -165,7 +168,8 @@ def _blocks(raw: RawTransfer, grid: Cube, factors: Tensor) -> Iterator[Tensor]:
 def _cuts(raw: RawTransfer, brdf: TensorBRDF, progress: bool) -> Tensor:
     if not brdf.angles:
         return torch.zeros(len(raw.receivers), CUTS**2, 0, dtype=torch.uint8)
-    parts, grid = [], Cube(raw.resolution)
+    parts = []
+    grid = Cube(raw.resolution)
     with tqdm(total=len(raw.receivers), desc="lobes", unit=" points", disable=not progress) as bar:
         for visible, frames in zip(raw.visible.split(512), raw.receivers.frames.split(512), strict=True):
             parts.append(transfer.lobe_visibility(visible, frames, grid, CUTS, brdf.angles))
@@ -188,7 +192,8 @@ def _axes(points: int, slots: int, bounces: int, max_memory: float) -> int:
 
 
 def _weights(brdf: TensorBRDF, basis: BRDFBasis, slots: list[Slot]) -> Weights:
-    importance, c = brdf.importance(), responses(brdf)
+    importance = brdf.importance()
+    c = responses(brdf)
     table = basis.table.square().mean(0).sqrt() * TYPICAL
     sizes = [TYPICAL if slot.function <= 0 else float(table[slot.function - 1]) for slot in slots]
     light = natural(Cube(COARSE))
@@ -216,7 +221,8 @@ def _indirect(paths: Bounces, weights: Weights, count: int, progress: bool) -> I
 
 def _principal(paths: Bounces, weights: Weights, count: int) -> tuple[Tensor, float]:
     """Axes (l, l') of natural light that matter most to the T1 of some points, and the largest value of those."""
-    v, largest = len(paths.raw.receivers), 0.0
+    v = len(paths.raw.receivers)
+    largest = 0.0
     gram = torch.zeros(len(weights.light), len(weights.light), dtype=torch.float64)
     of_slots = weights.one(torch.arange(len(weights.slots)))
     for rows in torch.randperm(v, generator=torch.Generator().manual_seed(0))[:SAMPLE].sort().values.split(4):

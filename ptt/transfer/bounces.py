@@ -105,14 +105,20 @@ class Bounces:
 
     def __init__(self, raw: RawTransfer, brdf: TensorBRDF, basis: BRDFBasis, t0: Tensor, cuts: Tensor) -> None:
         own = raw.receivers
-        self.raw, self.brdf, self.t0, self.cuts = raw, brdf, t0, cuts
+        self.raw = raw
+        self.brdf = brdf
+        self.t0 = t0
+        self.cuts = cuts
         self.slots = slots_of(own, basis.mixture.shape[1])
         self.reflectors = [Reflector.of(r, self.slots, raw, brdf, basis) for r in range(len(own.names)) if self._has(r)]
-        local, change = transfer.gather_directions(raw.hits.shape[1]), harmonics.hemispherical(ORDER)
+        local = transfer.gather_directions(raw.hits.shape[1])
+        change = harmonics.hemispherical(ORDER)
         values = harmonics.evaluate(local, ORDER) @ change.T
         self.projector = torch.linalg.pinv(values).float()  # shape: (s, n); exact for what the harmonics span
-        self.local, self.change = local.float(), change.float()
-        self.response, self.blurs = responses(brdf), blurs(brdf.angles).float()
+        self.local = local.float()
+        self.change = change.float()
+        self.response = responses(brdf)
+        self.blurs = blurs(brdf.angles).float()
         self.mirrored = _mirrored(brdf.angles, raw.resolution)
 
     def _has(self, region: int) -> bool:
@@ -120,11 +126,13 @@ class Bounces:
 
     def reduced(self, lighting: Tensor) -> None:
         """From now on, lighting is a combination of the columns of a matrix (l, l')."""
-        self.t0, self.mirrored = self.t0 @ lighting, self.mirrored @ lighting
+        self.t0 = self.t0 @ lighting
+        self.mirrored = self.mirrored @ lighting
 
     def seen(self, rows: Tensor, reflector: Reflector) -> Seen:
         """What the points (b,) see of a region."""
-        own, region = self.raw.receivers, self.slots[reflector.slots[0]].region
+        own = self.raw.receivers
+        region = self.slots[reflector.slots[0]].region
         first, end = own.spans[region]
         hits = self.raw.hits[rows].long()
         mine = (hits >= first) & (hits < end)
@@ -142,7 +150,8 @@ class Bounces:
         for reflector in self.reflectors:
             seen = self.seen(rows, reflector)
             if seen.ray.shape[1]:
-                at, wo = seen.at.flatten(), seen.wo.flatten(0, 1)
+                at = seen.at.flatten()
+                wo = seen.wo.flatten(0, 1)
                 g, light = self._specular(reflector, at, wo)
                 diffuse = reflector.shade(self.raw.receivers.colours[at])[..., None]
                 g = torch.cat((diffuse, g), 2) * seen.weight.flatten()[:, None, None]
@@ -153,7 +162,8 @@ class Bounces:
 
     def _specular(self, reflector: Reflector, at: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
         """Responses (m, p, i + k) to the incident factors and to the light (m, k, l) about the axes of the lobes."""
-        axes, each = lobes.lean(self.brdf.axes, wo), torch.arange(len(self.brdf.angles))  # shape: (m, k, 3)
+        axes = lobes.lean(self.brdf.axes, wo)
+        each = torch.arange(len(self.brdf.angles))  # shape: (m, k, 3)
         light = self.mirrored[MIRRORS.cell(axes @ self.raw.receivers.frames[at]), each]
         cell = octahedral.HemiOctahedral(CUTS).cell(axes)
         through = self.cuts[at[:, None], cell, each].float() / 255
@@ -166,7 +176,8 @@ class Bounces:
         for reflector in self.reflectors:
             seen = self.seen(rows, reflector)
             if seen.ray.shape[1]:
-                at, wo = seen.at.flatten(), seen.wo.flatten(0, 1)
+                at = seen.at.flatten()
+                wo = seen.wo.flatten(0, 1)
                 weight = seen.weight * self.projector[0][seen.ray]
                 d = self._to_harmonics(reflector, at, wo) * weight.flatten()[:, None, None]  # shape: (m, p, s)
                 onto = d.reshape(*seen.at.shape, -1, s).transpose(1, 2).flatten(2)  # shape: (b, p, n * s)
@@ -194,7 +205,8 @@ def _mirrored(angles: tuple[float, ...], resolution: int) -> Tensor:
     """
     if not angles:
         return torch.zeros(MIRRORS.cells, 0, 6 * COARSE**2)
-    fine, solid = SMOOTH.directions().reshape(-1, 3).float(), SMOOTH.solid_angles().flatten().float()
+    fine = SMOOTH.directions().reshape(-1, 3).float()
+    solid = SMOOTH.solid_angles().flatten().float()
     rows = []
     for axis in MIRRORS.directions().reshape(-1, 3).float().split(64):
         angle = lobes.between(axis[:, None], fine)

@@ -80,14 +80,16 @@ def cluster(transfer: Transfer, clusters: Clusters = Clusters(), *, progress: bo
         for region in regions:
             found.append(region.compressed(clusters))
             bar.update(region.points)
-    raw, error = transfer.raw, transfer.direct.error
+    raw = transfer.raw
+    error = transfer.direct.error
     return TransferModel(own, transfer.brdf, transfer.basis, raw.resolution, raw.bounces, None, found, error)
 
 
 def _points_for(clusters: Clusters, regions: list[_Region]) -> int:
     """The fewest points of a cluster with which all clusters together have no more than the bytes."""
     assert clusters.bytes is not None
-    limit, most = clusters.bytes, max(1, *(region.points for region in regions))
+    limit = clusters.bytes
+    most = max(1, *(region.points for region in regions))
 
     def bytes_(points: int) -> int:
         return sum(_count(region.points, points) * region.bytes(clusters) for region in regions)
@@ -106,13 +108,17 @@ class _Region:
     def __init__(self, transfer: Transfer, region: int) -> None:
         own = transfer.raw.receivers
         first, end = own.spans[region]
-        self.transfer, self.first, self.end = transfer, first, end
+        self.transfer = transfer
+        self.first = first
+        self.end = end
         shape = own.materials[own.names[region]].shape
         self.glossy = bool(transfer.brdf.angles) and (own.editable[region] or shape is not None)
-        one, two = transfer.indirect.one[first:end], transfer.indirect.two[first:end]
+        one = transfer.indirect.one[first:end]
+        two = transfer.indirect.two[first:end]
         lit = one.abs().amax((0, 2, 3)) > 0 if one.numel() else torch.zeros(0)
         again = two.abs().amax((0, 3)) > 0 if two.numel() else torch.zeros(0, 0)
-        self.slots, self.pairs = torch.nonzero(lit)[:, 0], torch.nonzero(again)
+        self.slots = torch.nonzero(lit)[:, 0]
+        self.pairs = torch.nonzero(again)
 
     @property
     def points(self) -> int:
@@ -121,8 +127,10 @@ class _Region:
 
     def bytes(self, clusters: Clusters) -> int:
         """Of one cluster."""
-        indirect, factors = self.transfer.indirect, self.transfer.direct.coarse.shape[1]
-        m, n = min(clusters.columns, Cube(self.transfer.raw.resolution).cells), self._lighting(clusters)
+        indirect = self.transfer.indirect
+        factors = self.transfer.direct.coarse.shape[1]
+        m = min(clusters.columns, Cube(self.transfer.raw.resolution).cells)
+        n = self._lighting(clusters)
         each = factors * m + len(self.slots) * ORDER**2 * n + len(self.pairs) * indirect.two.shape[3]
         return clusters.eigenvectors * each * clusters.storage.itemsize + 8 * m + 4 * n * indirect.axes.shape[1]
 
@@ -137,7 +145,8 @@ class _Region:
             clusters = replace(clusters, eigenvectors=_eigenvectors_for(x, clusters))
         e = clusters.eigenvectors
         labels = _labels(x, clusters.points, e)
-        combination, made = torch.zeros(len(x), e), []
+        combination = torch.zeros(len(x), e)
+        made = []
         for k in range(int(labels.max()) + 1 if len(x) else 1):
             at = torch.nonzero(labels == k)[:, 0]
             q, r = torch.linalg.qr((x[at] @ cpca.basis(x[at], e).T).double())
@@ -193,18 +202,22 @@ class _Region:
 
     def _lifted(self, rows: Tensor, combination: Tensor, clusters: Clusters) -> tuple[Tensor, ...]:
         """Columns, T0, lighting, T1 and T2 of the eigen-points that combinations (v, e) of points make."""
-        weights, axes = self.transfer.weights, self.transfer.indirect.axes
+        weights = self.transfer.weights
+        axes = self.transfer.indirect.axes
         t1, t2 = self._indirect(rows)
         t1 = torch.einsum("ve,vqsl->eqsl", combination, t1)
         weighed = (t1 * weights.one(self.slots)).flatten(0, 2).double()
         own = torch.linalg.eigh(weighed.T @ weighed).eigenvectors.flip(1)[:, : self._lighting(clusters)].float()
-        t1, t2 = (t1 @ own).permute(3, 1, 0, 2), torch.einsum("ve,vpl->lpe", combination, t2)
+        t1 = (t1 @ own).permute(3, 1, 0, 2)
+        t2 = torch.einsum("ve,vpl->lpe", combination, t2)
         return *self._lifted_direct(rows, combination, clusters), axes.T @ own, t1.flatten(1), t2.flatten(1)
 
     def _lifted_direct(self, rows: Tensor, combination: Tensor, clusters: Clusters) -> tuple[Tensor, Tensor]:
         """The columns that matter most, and T0 (m, e * (1 + i)) there."""
-        direct, grid = self.transfer.direct, Cube(self.transfer.raw.resolution)
-        factors, index = direct.coarse.shape[1], direct.indices[rows + self.first].long()
+        direct = self.transfer.direct
+        grid = Cube(self.transfer.raw.resolution)
+        factors = direct.coarse.shape[1]
+        index = direct.indices[rows + self.first].long()
         t0 = torch.zeros(factors * grid.cells, combination.shape[1])
         values = direct.values[rows + self.first][..., None] * combination[:, None]
         t0 = t0.index_add_(0, index.flatten(), values.flatten(0, 1)).unflatten(0, (factors, grid.cells))
@@ -227,9 +240,11 @@ def _count(points: int, each: int) -> int:
 def _eigenvectors_for(x: Tensor, clusters: Clusters) -> int:
     """The fewest that leave no more than the error."""
     assert clusters.error is not None
-    whole, left = float(x.square().sum()), 0.0
+    whole = float(x.square().sum())
+    left = 0.0
     for e in STEPS:
-        labels, left = _labels(x, clusters.points, e), 0.0
+        labels = _labels(x, clusters.points, e)
+        left = 0.0
         for k in range(int(labels.max()) + 1 if len(x) else 0):
             own = x[labels == k]
             caught = own @ cpca.basis(own, e).T

@@ -24,7 +24,8 @@ def ambient_occlusion(scene: Scene, rays: int = 256, progress: bool = False) -> 
         raise ValueError(f"rays must be at least 1, got {rays}")
     local = gather_directions(rays).float()
     origins = scene.surface.offset(scene.points, scene.normals)
-    step, parts = max(1, BLOCK // rays), []
+    step = max(1, BLOCK // rays)
+    parts = []
     with tqdm(total=len(origins), desc="occlusion", unit=" vertices", disable=not progress) as bar:
         for start, frames in zip(origins.split(step), scene.frames.split(step), strict=True):
             directions = (local @ frames).flatten(0, 1)

@@ -60,7 +60,8 @@ class RawTransfer:
         """
         config, tensors = saved.load(path, KIND)
         with saved.describing(path):
-            v, cells = len(tensors.get("positions", ())), 6 * config["resolution"] ** 2
+            v = len(tensors.get("positions", ()))
+            cells = 6 * config["resolution"] ** 2
             expected = {"visible": (torch.uint8, (v, (cells + 7) // 8)), "hits": (torch.int32, (v, config["rays"]))}
             saved.check(tensors, {**expected, **Receivers.expected(config)})
             hits = tensors["hits"]
@@ -105,7 +106,8 @@ def precompute(
     directions = Cube(resolution).directions().reshape(-1, 3)
     local = transfer.gather_directions(rays if bounces else 0)
     random = torch.Generator().manual_seed(0)
-    visible, hits = [], []
+    visible = []
+    hits = []
     with tqdm(total=len(receivers), desc="rays", unit=" points", disable=not progress) as bar:
         for positions, frames in zip(receivers.positions.split(BLOCK), receivers.frames.split(BLOCK), strict=True):
             visible.append(transfer.visibility(scene.surface, positions, frames[:, 2], directions))

@@ -102,9 +102,11 @@ def test_visibility_texture_on_a_coarse_mesh() -> None:
         pixels = ptt.GBuffer.of(of, camera)
         return pixels.image(relighter(sky, {}, pixels)).pixels
 
-    fine, coarse = scene(64), scene(1)
+    fine = scene(64)
+    coarse = scene(1)
     wanted = picture(fine, None)
-    textured, plain = picture(coarse, Atlas.of(coarse, 256)), picture(coarse, None)
+    textured = picture(coarse, Atlas.of(coarse, 256))
+    plain = picture(coarse, None)
     assert ptt.relative_rmse(textured, wanted) < 0.04
     assert ptt.relative_rmse(plain, wanted) > 3 * ptt.relative_rmse(textured, wanted)
 

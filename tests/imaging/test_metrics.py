@@ -20,7 +20,8 @@ def test_by_hand() -> None:
 
 
 def test_relative_to_the_second_argument() -> None:
-    a, b = torch.tensor([[3.0]]), torch.tensor([[2.0]])
+    a = torch.tensor([[3.0]])
+    b = torch.tensor([[2.0]])
     assert relative_rmse(a, b) == pytest.approx(0.5)
     assert relative_rmse(b, a) == pytest.approx(1 / 3)
     assert relative_rmse(a * 1e-3, b * 1e-3) == pytest.approx(0.5, rel=1e-6)

@@ -47,7 +47,8 @@ def test_clusters_round_trip_to_the_bit(clustered: Path, clustered_model: ptt.Tr
     assert before.keys() == after.keys() and "kept" not in before
     assert all(after[name].dtype == t.dtype and torch.equal(after[name], t) for name, t in before.items())
     assert [(r.slots, r.pairs) for r in again.regions] == [(r.slots, r.pairs) for r in clustered_model.regions]
-    light, eye = ptt.Environment.constant(1.0), torch.tensor([1.0, 2.0, 3.0])
+    light = ptt.Environment.constant(1.0)
+    eye = torch.tensor([1.0, 2.0, 3.0])
     a, b = (ptt.TransferRelighter(m)(light, {}, eye) for m in (clustered_model, again))
     assert torch.equal(a, b)
     assert (again.truncation_error, again.bounces) == (clustered_model.truncation_error, 2)

@@ -65,7 +65,8 @@ def oracle(texels: Tensor, directions: Tensor) -> Tensor:
 
 
 def test_radiance_against_the_definition() -> None:
-    light, d = noise(), random_directions(20_000)
+    light = noise()
+    d = random_directions(20_000)
     near_poles = torch.cat((d, d * torch.tensor([0.02, 1, 0.02])))
     near_poles /= near_poles.norm(dim=-1, keepdim=True)
     assert torch.allclose(light.radiance(near_poles).double(), oracle(light.map, near_poles), atol=2e-4)
@@ -88,7 +89,8 @@ def test_convention_of_axes() -> None:
 
 
 def test_radiance_is_continuous_across_the_seam_and_the_poles() -> None:
-    light, step = noise(), 1e-4
+    light = noise()
+    step = 1e-4
     for centre in ([0.0, 1, 0], [0, -1, 0], [0, 0.4, -1], [0, -0.99, -0.1]):
         pairs = torch.tensor(centre) + step * torch.tensor([[[1.0, 0, 1]], [[-1.0, 0, -1]]])
         left, right = light.radiance(pairs)
@@ -97,7 +99,8 @@ def test_radiance_is_continuous_across_the_seam_and_the_poles() -> None:
 
 
 def test_lengths_shapes_and_types_of_directions() -> None:
-    light, d = noise(), random_directions(6).view(2, 3, 3)
+    light = noise()
+    d = random_directions(6).view(2, 3, 3)
     assert light.radiance(d).shape == (2, 3, 3)
     assert torch.allclose(light.radiance(d), light.radiance(7.0 * d.double()), atol=1e-5)
     assert light.radiance(d[0, 0]).shape == (3,)
@@ -105,7 +108,8 @@ def test_lengths_shapes_and_types_of_directions() -> None:
 
 
 def test_rotated_environment_at_rotated_directions() -> None:
-    light, d = smooth(), random_directions(1000).double()
+    light = smooth()
+    d = random_directions(1000).double()
     turned = light.rotated(20, 30, 40)
     moved = d @ turned.rotation.T
     assert torch.allclose(turned.radiance(moved), light.radiance(d), atol=1e-4)
@@ -117,14 +121,16 @@ def test_rotated_environment_at_rotated_directions() -> None:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_rotations_are_right_handed(axis: int) -> None:
     """A quarter about x takes y to z, about y takes z to x, about z takes x to y."""
-    turned, axes = noise().rotated(**{"xyz"[axis]: 90.0}), torch.eye(3, dtype=torch.float64)
+    turned = noise().rotated(**{"xyz"[axis]: 90.0})
+    axes = torch.eye(3, dtype=torch.float64)
     assert torch.allclose(turned.rotation @ axes[(axis + 1) % 3], axes[(axis + 2) % 3], atol=1e-12)
 
 
 def test_a_quarter_about_y_permutes_the_faces() -> None:
     """+Z goes to +X: the new +X face is the old +Z face, and so on; +Y and -Y turn in themselves."""
     light = smooth()
-    old, new = light.project(Cube(8)), light.rotated(y=90).project(Cube(8))
+    old = light.project(Cube(8))
+    new = light.rotated(y=90).project(Cube(8))
     assert torch.allclose(new[[0, 5, 1, 4]], old[[4, 0, 5, 1]], rtol=1e-3)
     assert torch.allclose(new[2], old[2].rot90(1), rtol=2e-3)  # columns run to +X, rows to +Z: z goes to x
     assert torch.allclose(new[3], old[3].rot90(-1), rtol=2e-3)
@@ -142,7 +148,8 @@ def test_means_against_a_fine_oracle() -> None:
 
     Cells are about four texels wide; the oracle averages the float64 interpolant over 64 x 64 points of each.
     """
-    light, grid = noise(16, 32), Cube(2)
+    light = noise(16, 32)
+    grid = Cube(2)
     fine = grid.refine(64)
     weights = fine.solid_angles()
     total = grid.coarsen(oracle(light.map, fine.directions()) * weights[..., None], 64)
@@ -151,7 +158,8 @@ def test_means_against_a_fine_oracle() -> None:
 
 
 def test_cells_finer_than_the_map_hold_the_interpolant() -> None:
-    light, grid = smooth(8), Cube(32)
+    light = smooth(8)
+    grid = Cube(32)
     error = (light.project(grid) / light.radiance(grid.directions()) - 1).abs()
     assert error[[0, 1, 4, 5]].max() < 1e-5
     assert error[2:4].max() < 0.02  # one texel in eight rows is wide: rows are blurred around the poles
@@ -179,7 +187,8 @@ def test_one_bright_texel_keeps_its_energy(grid: Grid, row: int) -> None:
 @pytest.mark.parametrize("row", [0, 1, 2, 3, 50, 128])
 def test_halved_maps_keep_constants_and_energy(row: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ptt.light.environment._LOOKUPS", 1 << 16)
-    light, grid = one_texel(256, row), Cube(4)
+    light = one_texel(256, row)
+    grid = Cube(4)
     assert light._may_halve(float(grid.solid_angles().max().sqrt()))
     half = light._halved()
     assert half.map.shape == (128, 256, 3)
@@ -190,7 +199,9 @@ def test_halved_maps_keep_constants_and_energy(row: int, monkeypatch: pytest.Mon
 
 
 def test_projection_is_linear_and_differentiable_in_the_map() -> None:
-    a, b, grid = noise(seed=1), noise(seed=2), Cube(4)
+    a = noise(seed=1)
+    b = noise(seed=2)
+    grid = Cube(4)
     both = Environment(a.map + 3 * b.map).project(grid)
     assert torch.allclose(both, a.project(grid) + 3 * b.project(grid), atol=1e-5)
     texels = a.map.clone().requires_grad_()
@@ -345,7 +356,8 @@ def test_area_lights_hold_the_integral_of_their_cap(direction: tuple[float, ...]
 
 
 def test_area_light_is_uniform_inside_and_black_outside() -> None:
-    light, d = Environment.area_light((1, 2, 3), 25.0, 7.0), random_directions(20_000)
+    light = Environment.area_light((1, 2, 3), 25.0, 7.0)
+    d = random_directions(20_000)
     angle = torch.rad2deg(torch.acos((d @ torch.tensor([1.0, 2, 3]) / 14**0.5).clamp(-1, 1)))
     values = light.radiance(d)[:, 0]
     assert torch.allclose(values[angle < 23.5], torch.tensor(7.0), rtol=1e-3)
@@ -356,7 +368,8 @@ def test_area_light_is_uniform_inside_and_black_outside() -> None:
 def test_sun_gives_its_irradiance(direction: tuple[float, ...]) -> None:
     """To a surface that faces it, beside what the sky gives; 2 % is what `project` promises."""
     sun = Environment.sun_sky(direction, (3.0, 2.0, 1.0), zenith=0.0, horizon=0.0, ground=0.0)
-    grid, axis = Cube(64), torch.tensor(direction, dtype=torch.float64)
+    grid = Cube(64)
+    axis = torch.tensor(direction, dtype=torch.float64)
     cosine = (grid.directions() @ axis / axis.norm()).clamp(min=0)
     irradiance = energy(sun.project(grid) * cosine[..., None].float(), grid)
     assert irradiance.tolist() == pytest.approx([3, 2, 1], rel=0.02)
@@ -403,7 +416,8 @@ def test_pdf_integrates_to_one_and_is_that_of_the_samples() -> None:
 def test_histogram_of_samples_follows_the_pdf_down_to_quarters_of_texels() -> None:
     """Five standard errors sqrt(p (1 - p) / n), on a finer grid: uniform inside texels too."""
     light = noise(6, 8).rotated(30, 20, 10)
-    sampler, fine = light.sampler(), LatLong(12, 16)
+    sampler = light.sampler()
+    fine = LatLong(12, 16)
     u = samples(400_000)
     cell = fine.cell(sampler.sample(u)[0].double() @ light.rotation)
     share = torch.bincount(cell, minlength=fine.cells).view(12, 16) / len(u)
@@ -424,7 +438,8 @@ def test_importance_sampling_gives_the_integral(light: Environment) -> None:
 
 
 def test_pdf_is_positive_wherever_light_comes_from() -> None:
-    light, d = one_texel(32, 7), random_directions(200_000)
+    light = one_texel(32, 7)
+    d = random_directions(200_000)
     bright = light.radiance(d)[:, 0] > 0
     assert bright.any()
     assert (light.sampler().pdf(d)[bright] > 0).all()
@@ -450,9 +465,11 @@ def test_corners_of_the_unit_square_and_beyond() -> None:
 
 
 def test_lights_add_up() -> None:
-    a, b = Environment.area_light((0, 1, 0), 20.0, 3.0), Environment.area_light((1, 0, 0), 10.0, (1.0, 2.0, 4.0))
+    a = Environment.area_light((0, 1, 0), 20.0, 3.0)
+    b = Environment.area_light((1, 0, 0), 10.0, (1.0, 2.0, 4.0))
     torch.testing.assert_close((a + b).integral(), a.integral() + b.integral())
-    both, d = (a + b).rotated(y=30), torch.rand(50, 3) - torch.tensor([0.3, 0.1, 0.7])
+    both = (a + b).rotated(y=30)
+    d = torch.rand(50, 3) - torch.tensor([0.3, 0.1, 0.7])
     torch.testing.assert_close(both.radiance(d), a.rotated(y=30).radiance(d) + b.rotated(y=30).radiance(d))
     for other in (a.rotated(x=10), Environment(torch.ones(8, 16, 3))):
         with pytest.raises(ValueError, match="add first, then turn"):

@@ -30,7 +30,8 @@ def hemisphere(n: int, seed: int = 0, lowest: float = 0.0) -> Tensor:
     """Directions with z >= lowest, uniform in solid angle."""
     generator = torch.Generator().manual_seed(seed)
     z, phi = torch.rand(2, n, dtype=torch.float64, generator=generator)
-    z, phi = lowest + (1 - lowest) * z, 2 * math.pi * phi
+    z = lowest + (1 - lowest) * z
+    phi = 2 * math.pi * phi
     r = (1 - z * z).sqrt()
     return torch.stack((r * phi.cos(), r * phi.sin(), z), dim=1)
 
@@ -61,10 +62,13 @@ def grid_of_cells() -> tuple[Tensor, Tensor, Tensor]:
 def reference_angles(wi: np.ndarray, wo: np.ndarray) -> tuple[float, float, float]:
     """The database's own steps, with rotation matrices: turn h to the pole and look where wi went."""
     h = (wi + wo) / np.linalg.norm(wi + wo)
-    theta, phi = math.acos(min(h[2], 1.0)), math.atan2(h[1], h[0])
-    c, s = math.cos(phi), math.sin(phi)
+    theta = math.acos(min(h[2], 1.0))
+    phi = math.atan2(h[1], h[0])
+    c = math.cos(phi)
+    s = math.sin(phi)
     about_z = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-    c, s = math.cos(theta), math.sin(theta)
+    c = math.cos(theta)
+    s = math.sin(theta)
     about_y = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
     x, y, z = about_y @ about_z @ wi
     return theta, math.acos(min(z, 1.0)), math.atan2(y, x)
@@ -95,7 +99,9 @@ def gold_path(fits: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_angles_to_directions_and_back() -> None:
     theta_h, theta_d, phi_d = torch.rand(3, 2000, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    theta_h, theta_d, phi_d = theta_h * math.pi / 2, theta_d * math.pi / 2, (2 * phi_d - 1) * math.pi
+    theta_h = theta_h * math.pi / 2
+    theta_d = theta_d * math.pi / 2
+    phi_d = (2 * phi_d - 1) * math.pi
     wi, wo = from_half_difference(theta_h, theta_d, phi_d)
     assert torch.allclose(wi.norm(dim=-1), torch.ones(1).double()) and torch.allclose(wo.norm(dim=-1), wi.norm(dim=-1))
     for got, expected in zip(half_difference(wi, wo), (theta_h, theta_d, phi_d), strict=True):
@@ -104,7 +110,8 @@ def test_angles_to_directions_and_back() -> None:
 
 def test_directions_to_angles_and_back_up_to_a_turn_about_the_normal() -> None:
     """A turn keeps both heights, the angle between the directions, and the handedness of (wi, wo, n)."""
-    wi, wo = hemisphere(2000), hemisphere(2000, 1)
+    wi = hemisphere(2000)
+    wo = hemisphere(2000, 1)
     a, b = from_half_difference(*half_difference(wi, wo))
     assert torch.allclose(a[:, 2], wi[:, 2], atol=1e-12) and torch.allclose(b[:, 2], wo[:, 2], atol=1e-12)
     assert torch.allclose((a * b).sum(-1), (wi * wo).sum(-1), atol=1e-12)
@@ -112,14 +119,17 @@ def test_directions_to_angles_and_back_up_to_a_turn_about_the_normal() -> None:
 
 
 def test_angles_are_the_databases_own() -> None:
-    wi, wo = hemisphere(200), hemisphere(200, 1)
+    wi = hemisphere(200)
+    wo = hemisphere(200, 1)
     expected = np.array([reference_angles(a, b) for a, b in zip(wi.numpy(), wo.numpy(), strict=True)])
     assert np.allclose(torch.stack(half_difference(wi, wo), dim=1), expected, atol=1e-7)
 
 
 def test_exchanging_the_directions_adds_pi_to_phi_d_and_turning_them_changes_nothing() -> None:
-    wi, wo = hemisphere(2000), hemisphere(2000, 1)
-    c, s = math.cos(0.7), math.sin(0.7)
+    wi = hemisphere(2000)
+    wo = hemisphere(2000, 1)
+    c = math.cos(0.7)
+    s = math.sin(0.7)
     turn = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]], dtype=torch.float64)
     theta_h, theta_d, phi_d = half_difference(wi, wo)
     for other, shift in ((half_difference(wo, wi), math.pi), (half_difference(wi @ turn.T, wo @ turn.T), 0.0)):
@@ -156,9 +166,11 @@ def test_a_table_interpolates_the_function_it_was_written_from(path: Path) -> No
 
     Measured here: median 3e-4 and 99 % within 6e-3 linearly; median 9e-3 and 99 % within 8e-2 for the nearest cell.
     """
-    wi, wo = hemisphere(20000, 0, 0.1), hemisphere(20000, 1, 0.1)
+    wi = hemisphere(20000, 0, 0.1)
+    wo = hemisphere(20000, 1, 0.1)
     highlight = half_difference(wi, wo).theta_h < math.radians(30)
-    wi, wo = wi[highlight], wo[highlight]
+    wi = wi[highlight]
+    wo = wo[highlight]
     exact = analytic(wi, wo)
     linear = ((MERL.load(path).evaluate(wi, wo) - exact).abs() / exact).flatten()
     nearest = ((MERL.load(path, "nearest").evaluate(wi, wo) - exact).abs() / exact).flatten()
@@ -170,13 +182,15 @@ def test_the_nearest_cell_is_the_one_that_the_databases_code_reads() -> None:
     """Every cell holds its own number; the expected one follows BRDFRead.cpp, in plain Python."""
     numbers = np.arange(math.prod(CELLS), dtype=np.float64).reshape(1, *CELLS)
     table = MERL(np.broadcast_to(numbers, (3, *CELLS)), "nearest")
-    wi, wo = hemisphere(500), hemisphere(500, 1)
+    wi = hemisphere(500)
+    wo = hemisphere(500, 1)
     got = table.evaluate(wi, wo)[:, 0] * 1500
     for number, a, b in zip(got, wi.numpy(), wo.numpy(), strict=True):
         theta_h, theta_d, phi_d = reference_angles(a, b)
         phi_d = phi_d + math.pi if phi_d < 0 else phi_d
         h = int(math.sqrt(theta_h / (math.pi / 2) * 90 * 90))
-        d, p = int(theta_d / (math.pi / 2) * 90), int(phi_d / math.pi * 180)
+        d = int(theta_d / (math.pi / 2) * 90)
+        p = int(phi_d / math.pi * 180)
         assert float(number) == pytest.approx(p + 180 * (d + 90 * h), abs=1e-6)
     h, d, p = grid_of_cells()
     assert d.max() == 89 and p.max() == 179
@@ -208,7 +222,8 @@ def test_interpolation_is_linear_in_the_angles_and_closes_the_circle() -> None:
 def test_a_table_is_reciprocal_whatever_it_holds(interpolation: str) -> None:
     noise = np.random.default_rng(0).random(CELLS)
     table = MERL(np.broadcast_to(noise, (3, *CELLS)), interpolation)  # type: ignore[arg-type]
-    wi, wo = hemisphere(2000), hemisphere(2000, 1)
+    wi = hemisphere(2000)
+    wo = hemisphere(2000, 1)
     assert torch.allclose(table.evaluate(wi, wo), table.evaluate(wo, wi), rtol=1e-8, atol=0)
 
 
@@ -252,7 +267,9 @@ def test_the_centre_of_a_masked_cell_takes_its_neighbours() -> None:
 def test_the_writer_masks_what_is_below_the_horizon_and_what_is_negative(path: Path, tmp_path: Path) -> None:
     """wi or wo at a cell's centre is below the horizon where sin th_h sin th_d |cos phi_d| > cos th_h cos th_d."""
     h, d, p = np.meshgrid(*(np.arange(n) + 0.5 for n in CELLS), indexing="ij")
-    theta_h, theta_d, phi_d = (h / 90) ** 2 * math.pi / 2, np.radians(d), np.radians(p)
+    theta_h = (h / 90) ** 2 * math.pi / 2
+    theta_d = np.radians(d)
+    phi_d = np.radians(p)
     below = np.sin(theta_h) * np.sin(theta_d) * np.abs(np.cos(phi_d)) > np.cos(theta_h) * np.cos(theta_d)
     table = MERL.load(path)
     assert table.masked_cells == below.sum() > 100_000
@@ -267,11 +284,15 @@ def test_the_writer_masks_what_is_below_the_horizon_and_what_is_negative(path: P
 
 def test_normal_incidence_grazing_and_below_the_horizon(path: Path) -> None:
     """wi = wo = n has the value of the cells around it; one degree above the horizon is finite, at it and below 0."""
-    table, up, side, down = MERL.load(path), tilted(0), torch.tensor([1.0, 0.0, 0.0]).double(), tilted(135)
+    table = MERL.load(path)
+    up = tilted(0)
+    side = torch.tensor([1.0, 0.0, 0.0]).double()
+    down = tilted(135)
     assert torch.allclose(table.evaluate(up, up), analytic(up, up), rtol=1e-3)
     assert torch.allclose(table.evaluate(tilted(40), tilted(40)), analytic(tilted(40), tilted(40)), rtol=1e-3)
     for degrees in (80.0, 85.0, 89.0, 89.99):
-        wi, wo = tilted(degrees).expand(3, 3), torch.stack((tilted(-degrees), tilted(degrees), up))
+        wi = tilted(degrees).expand(3, 3)
+        wo = torch.stack((tilted(-degrees), tilted(degrees), up))
         value = table.evaluate(wi, wo)
         assert value.isfinite().all() and (value >= 0).all()
     assert torch.allclose(table.evaluate(tilted(85), up), analytic(tilted(85), up), rtol=1e-2)
@@ -282,7 +303,8 @@ def test_normal_incidence_grazing_and_below_the_horizon(path: Path) -> None:
 
 def test_directions_broadcast_and_keep_their_dtype(path: Path) -> None:
     table = MERL.load(path)
-    wi, wo = hemisphere(6, 0, 0.2).reshape(6, 1, 3), hemisphere(5, 1, 0.2)
+    wi = hemisphere(6, 0, 0.2).reshape(6, 1, 3)
+    wo = hemisphere(5, 1, 0.2)
     value = table.evaluate(wi, wo)
     assert value.shape == (6, 5, 3)
     assert torch.equal(value[2, 3], table.evaluate(wi[2, 0], wo[3]))
@@ -293,7 +315,8 @@ def test_directions_broadcast_and_keep_their_dtype(path: Path) -> None:
 
 def test_a_loaded_table_stays_on_the_disk(path: Path) -> None:
     """The table is 35 MB; loading it and looking up a hundred directions takes less than one."""
-    wi, wo = hemisphere(100), hemisphere(100, 1)
+    wi = hemisphere(100)
+    wo = hemisphere(100, 1)
     tracemalloc.start()
     table = MERL.load(path)
     table.evaluate(wi, wo)
@@ -356,20 +379,26 @@ def test_a_fit_is_the_published_formula(fits: Path, name: str) -> None:
     with np.load(fits, allow_pickle=False) as file:
         data = {key: file[key] for key in file.files}
     k = data["names"].tolist().index(name)
-    wi, wo = hemisphere(30), hemisphere(30, 1)
+    wi = hemisphere(30)
+    wo = hemisphere(30, 1)
     expected = [numpy_fit(data, k, a, b) for a, b in zip(wi.numpy(), wo.numpy(), strict=True)]
     value = NeuralBRDF.load(fits, name).evaluate(wi, wo)
     assert (value > 0).any() and torch.allclose(value, torch.from_numpy(np.array(expected)), rtol=1e-5, atol=1e-9)
 
 
 def test_a_fit_is_zero_below_the_horizon_finite_above_and_keeps_the_dtype(fits: Path) -> None:
-    fit, up, side, down = NeuralBRDF.load(fits, "pvc"), tilted(0), torch.tensor([1.0, 0.0, 0.0]).double(), tilted(135)
+    fit = NeuralBRDF.load(fits, "pvc")
+    up = tilted(0)
+    side = torch.tensor([1.0, 0.0, 0.0]).double()
+    down = tilted(135)
     for a, b in [(up, side), (up, down), (down, down), (down, up)]:
         assert (fit.evaluate(a, b) == 0).all()
     for a, b in [(up, up), (tilted(40), tilted(40)), (tilted(89.99), tilted(-89.99))]:
         assert fit.evaluate(a, b).isfinite().all()
-    wi, wo = hemisphere(4, 0, 0.1).reshape(4, 1, 3), hemisphere(500, 1, 0.1)
-    value, single = fit.evaluate(wi, wo), fit.evaluate(wi.float(), wo.float())
+    wi = hemisphere(4, 0, 0.1).reshape(4, 1, 3)
+    wo = hemisphere(500, 1, 0.1)
+    value = fit.evaluate(wi, wo)
+    single = fit.evaluate(wi.float(), wo.float())
     assert value.shape == single.shape == (4, 500, 3) and single.dtype == torch.float32
     assert torch.allclose(single.double(), value, rtol=1e-3, atol=1e-5)
 
@@ -412,12 +441,15 @@ def test_a_table_written_from_a_fit_reads_back(gold_path: Path, fits: Path) -> N
 
     Between the centres, measured here: median 2e-4, 99 % within 0.02.
     """
-    fit, table = NeuralBRDF.load(fits, "gold-metallic-paint"), MERL.load(gold_path)
+    fit = NeuralBRDF.load(fits, "gold-metallic-paint")
+    table = MERL.load(gold_path)
     wi, wo = centres(*grid_of_cells())
     assert torch.allclose(table.evaluate(wi, wo), fit.evaluate(wi, wo), rtol=1e-6, atol=1e-9)
-    a, b = hemisphere(5000, 0, 0.2), hemisphere(5000, 1, 0.2)
+    a = hemisphere(5000, 0, 0.2)
+    b = hemisphere(5000, 1, 0.2)
     first = (half_difference(a, b).phi_d > 0)[:, None]  # the half of the circle that was written
-    wi, wo = torch.where(first, a, b), torch.where(first, b, a)
+    wi = torch.where(first, a, b)
+    wo = torch.where(first, b, a)
     exact = fit.evaluate(wi, wo)
     error = ((table.evaluate(wi, wo) - exact).abs() / exact.clamp(min=1e-3)).flatten()
     assert error.median() < 1e-3 and error.quantile(0.99) < 0.03
@@ -433,9 +465,11 @@ def test_a_fit_agrees_with_the_cook_torrance_table_of_the_same_material(data_dir
     with (data_dir / "brdf" / "ngan_cooktorrance.csv").open() as file:
         row = next(r for r in csv.DictReader(file) if r["material"] == name)
     kd, ks = (torch.tensor([float(row[f"{k}_{c}"]) for c in "rgb"], dtype=torch.float64) for k in ("kd", "ks"))
-    wi, wo = hemisphere(2000, 0, 0.4), hemisphere(2000, 1, 0.4)
+    wi = hemisphere(2000, 0, 0.4)
+    wo = hemisphere(2000, 1, 0.4)
     off_peak = half_difference(wi, wo).theta_h > math.radians(15)
-    wi, wo = wi[off_peak], wo[off_peak]
+    wi = wi[off_peak]
+    wo = wo[off_peak]
     shape = brdf.cook_torrance(wi, wo, float(row["F0"]), float(row["m"]))
     expected = SCALE * (kd / math.pi + ks * shape[:, None])
     value = NeuralBRDF.load(fits, name).evaluate(wi, wo)
@@ -446,6 +480,8 @@ def test_a_fit_agrees_with_the_cook_torrance_table_of_the_same_material(data_dir
 @pytest.mark.parametrize("name", FITTED)
 def test_a_fit_is_reciprocal_within_a_few_percent(fits: Path, name: str) -> None:
     """The network was not made reciprocal: 0.5 to 2 % of the mean measured here, and not 0."""
-    fit, wi, wo = NeuralBRDF.load(fits, name), hemisphere(2000, 0, 0.4), hemisphere(2000, 1, 0.4)
+    fit = NeuralBRDF.load(fits, name)
+    wi = hemisphere(2000, 0, 0.4)
+    wo = hemisphere(2000, 1, 0.4)
     value = fit.evaluate(wi, wo)
     assert 1e-4 < (value - fit.evaluate(wo, wi)).abs().sum() / value.sum() < 0.04

@@ -98,7 +98,8 @@ def test_a_wrong_name_suggests_the_nearest() -> None:
 
 
 def test_paths_reach_both_ends_in_even_steps() -> None:
-    a, b = FITTED.samples[3], FITTED.samples[40]
+    a = FITTED.samples[3]
+    b = FITTED.samples[40]
     path = FITTED.path(a, b, 5)
     assert path[0].f0 == pytest.approx(a.f0) and path[-1].m == pytest.approx(b.m)
     exponents = [shape.exponent for shape in BRDFSpace.blinn_phong().path(ptt.BlinnPhong(2.0), ptt.BlinnPhong(10.0), 5)]
@@ -240,7 +241,8 @@ def test_ggx_is_exactly_linear_in_f0() -> None:
 def test_ggx_between_roughnesses_is_as_good_at_every_f0() -> None:
     """At the peak, proportional to r^-4: between two roughnesses a tenth apart the chord lies above it by
     4 * 5 / 2 * (0.1 / 2)^2 = 2.5 % at the middle, at every F0 alike. Triangles would be 20 % beside it."""
-    space, up = BRDFSpace.ggx(), torch.tensor([[0.0, 0.0, 1.0]]).double()
+    space = BRDFSpace.ggx()
+    up = torch.tensor([[0.0, 0.0, 1.0]]).double()
     peaks = torch.cat([sample.evaluate(up, up) for sample in space.samples])
     for k in (4, 5, 12, 17):
         middle = math.sqrt(ptt.materials.spaces.ROUGHNESSES[k] * ptt.materials.spaces.ROUGHNESSES[k + 1])
@@ -281,7 +283,8 @@ def test_with_brdf_keeps_what_was_there() -> None:
 def test_a_blends_coordinates_are_the_weighted_sum() -> None:
     """Of names, of parameters, of blends; they sum to the weights' sum, and gradients reach weights and parameters."""
     space = SPACES["more"]
-    weight, m = torch.tensor(0.5, requires_grad=True), torch.tensor(0.2, dtype=torch.float64, requires_grad=True)
+    weight = torch.tensor(0.5, requires_grad=True)
+    m = torch.tensor(0.2, dtype=torch.float64, requires_grad=True)
     shape = ptt.CookTorrance(0.3, m)
     inner = ptt.Blend((shape, ptt.Named("mine")), (weight, 2.0))
     outer = space.coordinates(ptt.Blend((inner, ptt.Named("mine")), (3.0, 1.0)))
@@ -299,7 +302,8 @@ def test_ggx_coordinates_carry_gradients() -> None:
 
 
 def test_paths_by_name_reach_both_materials() -> None:
-    gold, chrome = ptt.fitted("gold-metallic-paint"), ptt.fitted("chrome")
+    gold = ptt.fitted("gold-metallic-paint")
+    chrome = ptt.fitted("chrome")
     path = FITTED.path("gold-metallic-paint", "chrome", steps=5)
     for material, end in ((path[0], gold), (path[4], chrome)):
         assert torch.allclose(material.evaluate(WI, WO), end.evaluate(WI, WO), rtol=1e-5)
@@ -324,7 +328,8 @@ def test_paths_of_named_ones_blend() -> None:
 
 def test_paths_refused() -> None:
     space = SPACES["blinn-phong"]
-    a, b = ptt.BlinnPhong(2.0), ptt.BlinnPhong(3.0)
+    a = ptt.BlinnPhong(2.0)
+    b = ptt.BlinnPhong(3.0)
     for ends, message in [
         ((a, b, 1), "steps must be at least 2, got 1"),
         ((a, ptt.BlinnPhong(30.0), 3), "exponent must be in 1..10"),

@@ -14,14 +14,16 @@ import ptt
 from ptt.ops.albedo import albedo
 from ptt.ops.sphere import Disk
 
-KD, KS = torch.tensor([0.3, 0.1, 0.05]).double(), torch.tensor([0.2, 0.6, 0.4]).double()
+KD = torch.tensor([0.3, 0.1, 0.05]).double()
+KS = torch.tensor([0.2, 0.6, 0.4]).double()
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 
 
 def cosine_directions(n: int, seed: int, most: float = 1.0) -> Tensor:
     """Distributed by projected solid angle, up to a sine of `most`."""
     u = torch.rand(n, 2, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
-    r, phi = u[:, 0].sqrt() * most, 2 * math.pi * u[:, 1]
+    r = u[:, 0].sqrt() * most
+    phi = 2 * math.pi * u[:, 1]
     return torch.stack((r * phi.cos(), r * phi.sin(), (1 - r * r).clamp(min=1e-12).sqrt()), 1)
 
 
@@ -42,7 +44,8 @@ def test_a_smooth_brdf_is_reproduced() -> None:
     shape = ptt.BlinnPhong(5.0)
     f = ptt.tabulated(table_of(shape.evaluate, 24))
     for most, bound in ((0.9, 0.015), (1.0, 0.06)):
-        wi, wo = cosine_directions(20_000, 0, most), cosine_directions(20_000, 1, most)
+        wi = cosine_directions(20_000, 0, most)
+        wo = cosine_directions(20_000, 1, most)
         exact = shape.evaluate(wi, wo)
         assert 1e-4 < float((f(wi, wo) - exact).norm() / exact.norm()) < bound
     assert f(wi.float(), wo.float()).dtype == torch.float32
@@ -51,7 +54,8 @@ def test_a_smooth_brdf_is_reproduced() -> None:
 def test_bilinear_in_the_disk_is_exact_and_the_axes_are_as_stated() -> None:
     """Away from the rim, a function that is bilinear in x and y of each direction is its own interpolant."""
     f = ptt.tabulated(table_of(lopsided, 12))
-    wi, wo = cosine_directions(500, 2, 0.8), cosine_directions(500, 3, 0.8)
+    wi = cosine_directions(500, 2, 0.8)
+    wo = cosine_directions(500, 3, 0.8)
     assert torch.allclose(f(wi, wo), lopsided(wi, wo), atol=1e-12)
     assert torch.allclose(f(wi[:, None], wo[:40]), lopsided(wi[:, None], wo[:40]), atol=1e-12)
 
@@ -62,7 +66,8 @@ def test_cells_outside_are_not_read_and_below_the_horizon_is_zero() -> None:
     f = ptt.tabulated(table)
     grazing = torch.tensor([[math.sqrt(0.5 - 1e-6)] * 2 + [1e-3], [-math.sqrt(0.5 - 1e-6)] * 2 + [1e-3]])
     assert f(grazing, grazing.flip(0)).tolist() == pytest.approx([1, 1])
-    up, down = torch.tensor([0.0, 0.6, 0.8]), torch.tensor([0.0, 0.6, -0.8])
+    up = torch.tensor([0.0, 0.6, 0.8])
+    down = torch.tensor([0.0, 0.6, -0.8])
     assert f(up, up) == 1
     assert [float(f(i, o)) for i, o in ((up, down), (down, up), (down, down))] == [0, 0, 0]
 
@@ -90,7 +95,8 @@ def test_separate_recovers_colours_and_shape() -> None:
     assert got.diffuse.tolist() == pytest.approx(KD.tolist(), rel=0.03)
     assert got.specular.tolist() == pytest.approx((KS * size).tolist(), rel=0.03)
     assert float(albedo(got.shape.evaluate, UP)) == pytest.approx(1, rel=1e-6)
-    wi, wo = cosine_directions(20_000, 4), cosine_directions(20_000, 5)
+    wi = cosine_directions(20_000, 4)
+    wo = cosine_directions(20_000, 5)
     exact = lobe.evaluate(wi, wo) / size
     assert float((got.shape.evaluate(wi, wo) - exact).norm() / exact.norm()) < 0.03
     assert torch.allclose(got.evaluate(wi, wo), truth.evaluate(wi, wo), rtol=0.03, atol=1e-3)
@@ -99,7 +105,8 @@ def test_separate_recovers_colours_and_shape() -> None:
 
 def test_separate_takes_the_colour_of_the_largest_part() -> None:
     """Two lobes of disjoint colours: the brighter one in L2 decides, the other is lost."""
-    red, blue = torch.tensor([1.0, 0, 0]).double(), torch.tensor([0, 0, 1.0]).double()
+    red = torch.tensor([1.0, 0, 0]).double()
+    blue = torch.tensor([0, 0, 1.0]).double()
     weak = ptt.BlinnPhong(200.0), ptt.BlinnPhong(400.0)
     got = ptt.separate("two", lambda i, o: weak[0].evaluate(i, o)[..., None] * red * 0.05
                        + weak[1].evaluate(i, o)[..., None] * blue)  # fmt: skip
@@ -138,11 +145,13 @@ def test_measured_materials(data_dir: Path, name: str) -> None:
         pytest.skip(f"needs {path}")
     data = ptt.NeuralBRDF.load(path, name)
     got = ptt.separate(name, data.evaluate)
-    wi, wo = cosine_directions(20_000, 6, 0.9), cosine_directions(20_000, 7, 0.9)
+    wi = cosine_directions(20_000, 6, 0.9)
+    wo = cosine_directions(20_000, 7, 0.9)
     value = got.evaluate(wi, wo)
     assert bool(torch.isfinite(value).all()) and bool((value >= 0).all())
     off = torch.nn.functional.normalize(wi + wo, dim=1)[:, 2] < math.cos(math.radians(30))
-    mean, exact = value[off].mean(0), data.evaluate(wi, wo)[off].double().mean(0)
+    mean = value[off].mean(0)
+    exact = data.evaluate(wi, wo)[off].double().mean(0)
     assert bool(((mean - exact).abs() <= 0.2 * exact + 2e-3).all()), (mean, exact)
     peak = UP.expand(1, 3)
     assert float(got.evaluate(peak, peak).mean()) == pytest.approx(float(data.evaluate(peak, peak).mean()), rel=0.2)

@@ -24,7 +24,8 @@ WARD = BRDFSpace.ward((0.3, 0.5, 0.9), anisotropic=True)
 
 def brushed(ax: float, ay: float) -> ptt.Material:
     """Bounded, unlike Ward's, whose square few directions do not settle on, and turned by 20 degrees."""
-    c, s = math.cos(math.radians(20)), math.sin(math.radians(20))
+    c = math.cos(math.radians(20))
+    s = math.sin(math.radians(20))
 
     def evaluate(wi: Tensor, wo: Tensor) -> Tensor:
         x, y, _ = torch.nn.functional.normalize(wi + wo, dim=-1, eps=1e-9).unbind(-1)
@@ -39,23 +40,28 @@ ANISOTROPIC = BRDFSpace.user({f"{x}, {y}": brushed(x, y) for x in (0.2, 0.4, 0.8
 def cosine_directions(n: int, seed: int) -> Tensor:
     """Distributed by projected solid angle, the measure of the basis: means over them times pi are integrals."""
     u = torch.rand(n, 2, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
-    r, phi = u[:, 0].sqrt(), 2 * math.pi * u[:, 1]
+    r = u[:, 0].sqrt()
+    phi = 2 * math.pi * u[:, 1]
     return torch.stack((r * phi.cos(), r * phi.sin(), (1 - u[:, 0]).clamp(min=1e-12).sqrt()), 1)
 
 
-WI, WO = cosine_directions(100_000, 0), cosine_directions(100_000, 1)
+WI = cosine_directions(100_000, 0)
+WO = cosine_directions(100_000, 1)
 
 
 def missed(basis: BRDFBasis, shape: Shape) -> float:
     """Point by point, not blurred."""
-    exact, specular = shape.evaluate(WI, WO), basis.evaluate(WI, WO)[:, 1:]
+    exact = shape.evaluate(WI, WO)
+    specular = basis.evaluate(WI, WO)[:, 1:]
     return float((specular @ basis.of_shape(shape).to(specular) - exact).norm() / exact.norm())
 
 
 def cells(fine: int) -> tuple[Tensor, Tensor]:
     """Incident directions (c, fine^2, 3) inside of every cell, and their solid angles (c, fine^2)."""
-    width, inside = math.pi / 16, (torch.arange(fine).double() + 0.5) / fine
-    wi, weights = [], []
+    width = math.pi / 16
+    inside = (torch.arange(fine).double() + 0.5) / fine
+    wi = []
+    weights = []
     for band in range(8):
         arcs = round(2 * math.pi * math.sin((band + 0.5) * width) / width)
         for arc in range(arcs):
@@ -88,7 +94,8 @@ def of(*shapes: Shape) -> Tensor:
 
 
 def blurred_errors(basis: BRDFBasis, table: Tensor, *shapes: Shape) -> Tensor:
-    exact, functions = of(*shapes), blurred(lambda wi, wo: basis.evaluate(wi, wo)[..., 1:])
+    exact = of(*shapes)
+    functions = blurred(lambda wi, wo: basis.evaluate(wi, wo)[..., 1:])
     return (table.double() @ functions - exact).norm(dim=1) / exact.norm(dim=1)
 
 
@@ -191,7 +198,8 @@ def test_a_diffuse_material_is_the_first_coefficient() -> None:
 
 
 def test_coefficients_are_linear_in_the_weights() -> None:
-    basis, shape = BRDFBasis.fit(SPACE, 3), ptt.BlinnPhong(5.0)
+    basis = BRDFBasis.fit(SPACE, 3)
+    shape = ptt.BlinnPhong(5.0)
     one, two = (basis.coefficients(ptt.Material(0.0, s, shape)) for s in ((0.1, 0.2, 0.4), (0.3, 0.5, 0.0)))
     both = basis.coefficients(ptt.Material(0.25, (0.4, 0.7, 0.4), shape))
     assert torch.allclose(both[1:], (one + two)[1:]) and torch.allclose(both[0], torch.full((3,), 0.25))
@@ -205,7 +213,8 @@ def test_coefficients_are_linear_in_the_weights() -> None:
 def test_gradients_reach_the_exponent_and_the_weights() -> None:
     """Linear between samples: the slope is the difference of their rows over that of their exponents."""
     basis = BRDFBasis.fit(SPACE, 3)
-    exponent, specular = torch.tensor(5.0, requires_grad=True), torch.tensor([0.2, 0.3, 0.4], requires_grad=True)
+    exponent = torch.tensor(5.0, requires_grad=True)
+    specular = torch.tensor([0.2, 0.3, 0.4], requires_grad=True)
     basis.coefficients(ptt.Material(0.0, specular, ptt.BlinnPhong(exponent)))[1, 0].backward()
     slope = float(basis.table[2, 0] - basis.table[1, 0]) / 5 * 0.2
     assert float(exponent.grad) == pytest.approx(slope, rel=1e-4)
@@ -271,7 +280,8 @@ def test_units_do_not_matter(scale: float) -> None:
         scaled = {k: lambda i, o, lobe=lobe: lobe.evaluate(i, o) * s for k, lobe in lobes.items()}
         return BRDFBasis.fit(BRDFSpace.user(scaled), 2)
 
-    plain, basis = times(1.0), times(scale)
+    plain = times(1.0)
+    basis = times(scale)
     assert basis.error.tolist() == pytest.approx(plain.error.tolist(), rel=1e-4)
     product = basis.evaluate(WI, WO)[:, 1:] @ (basis.table.double() / scale).T
     assert torch.allclose(product, plain.evaluate(WI, WO)[:, 1:] @ plain.table.double().T, rtol=1e-3, atol=1e-4)

@@ -90,7 +90,8 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
 def test_thresholds() -> None:
     """A larger threshold keeps fewer numbers and errs more; one beyond all of them is refused."""
     exact = ptt.LightRotation.build(16, 4)(light())
-    sizes, errors = [], []
+    sizes = []
+    errors = []
     for threshold in (1, 64, 1024):
         rotate = ptt.LightRotation.build(16, 4, operator="matrix", threshold=threshold)
         sizes.append(rotate.bytes)
@@ -124,7 +125,8 @@ def test_extremes(operator: Operator, compiled: bool) -> None:
 def test_differentiable_in_the_light(operator: Operator) -> None:
     """The gradient of a sum against the difference of two evaluations: the operator is linear."""
     rotate = ptt.LightRotation.build(8, 4, operator=operator)
-    base, step = light(8).double().requires_grad_(), torch.randn(3, 8, 8, dtype=torch.float64)
+    base = light(8).double().requires_grad_()
+    step = torch.randn(3, 8, 8, dtype=torch.float64)
     weights = torch.randn(16, 16, 3, dtype=torch.float64)
     (rotate(base) * weights).sum().backward()
     assert base.grad is not None

@@ -22,7 +22,8 @@ SPACE = BRDFSpace.blinn_phong(tuple(2 ** (k / 4) for k in range(25)))
 def cosine_directions(n: int, seed: int) -> Tensor:
     """Distributed by projected solid angle, the measure of the fit."""
     u = torch.rand(n, 2, generator=torch.Generator().manual_seed(seed))
-    r, phi = u[:, 0].sqrt(), 2 * math.pi * u[:, 1]
+    r = u[:, 0].sqrt()
+    phi = 2 * math.pi * u[:, 1]
     return torch.stack((r * phi.cos(), r * phi.sin(), (1 - u[:, 0]).clamp(min=1e-8).sqrt()), 1)
 
 
@@ -34,7 +35,8 @@ def tensor() -> ptt.TensorBRDF:
 @pytest.mark.parametrize("k", [0, 8, 16])
 def test_stated_error_is_the_error_at_random_directions(tensor: ptt.TensorBRDF, k: int) -> None:
     shape = tensor.space.samples[k]
-    wi, wo = cosine_directions(100_000, 0), cosine_directions(100_000, 1)
+    wi = cosine_directions(100_000, 0)
+    wo = cosine_directions(100_000, 1)
     exact = shape.evaluate(wi, wo)
     error = float((tensor.evaluate(shape, wi, wo) - exact).norm() / exact.norm())
     assert error == pytest.approx(float(tensor.error[k]), rel=0.2)
@@ -42,9 +44,11 @@ def test_stated_error_is_the_error_at_random_directions(tensor: ptt.TensorBRDF, 
 
 
 def test_reciprocal_up_to_its_error(tensor: ptt.TensorBRDF) -> None:
-    wi, wo = cosine_directions(10_000, 2), cosine_directions(10_000, 3)
+    wi = cosine_directions(10_000, 2)
+    wo = cosine_directions(10_000, 3)
     shape = ptt.BlinnPhong(12.0)
-    a, b = tensor.evaluate(shape, wi, wo), tensor.evaluate(shape, wo, wi)
+    a = tensor.evaluate(shape, wi, wo)
+    b = tensor.evaluate(shape, wo, wi)
     assert float((a - b).norm() / a.norm()) < 0.01
 
 
@@ -57,7 +61,8 @@ def test_more_factors_are_better_and_error_bounds_are_met() -> None:
 
 
 def test_zero_below_the_horizon(tensor: ptt.TensorBRDF) -> None:
-    up, down = torch.tensor([[0.0, 0.6, 0.8]]), torch.tensor([[0.0, 0.6, -0.8]])
+    up = torch.tensor([[0.0, 0.6, 0.8]])
+    down = torch.tensor([[0.0, 0.6, -0.8]])
     assert tensor.evaluate(ptt.BlinnPhong(5.0), up, up) > 0
     for wi, wo in [(up, down), (down, up), (down, down)]:
         assert tensor.evaluate(ptt.BlinnPhong(5.0), wi, wo) == 0
@@ -65,7 +70,8 @@ def test_zero_below_the_horizon(tensor: ptt.TensorBRDF) -> None:
 
 def relative_error(tensor: ptt.TensorBRDF, shape: Shape) -> float:
     """At random directions, in the measure of the fit."""
-    wi, wo = cosine_directions(50_000, 4), cosine_directions(50_000, 5)
+    wi = cosine_directions(50_000, 4)
+    wo = cosine_directions(50_000, 5)
     exact = shape.evaluate(wi, wo)
     return float((tensor.evaluate(shape, wi, wo) - exact).norm() / exact.norm())
 
@@ -81,7 +87,8 @@ def error_under_lights(tensor: ptt.TensorBRDF, shape: Shape) -> float:
         light = torch.exp((lights @ wi.T - 1) / math.radians(8) ** 2)
         for f in (lambda i, o: tensor.evaluate(shape, i.float(), o.float()).double(), shape.evaluate):
             seen.append(light @ (f(wi, wo.double().expand_as(wi)) * weights))
-    ours, exact = torch.cat(seen[::2]), torch.cat(seen[1::2])
+    ours = torch.cat(seen[::2])
+    exact = torch.cat(seen[1::2])
     return ptt.relative_rmse(ours, exact)
 
 
@@ -111,7 +118,8 @@ def test_white_furnace_of_tensor_and_lobes() -> None:
     space = BRDFSpace(tuple(ptt.CookTorrance(0.9, m) for m in (0.01, 0.03, 0.1, 0.3)))
     tensor = ptt.TensorBRDF.fit(space, (4, 12, 12), separated=4)
     grid = Disk(400)
-    wi, weight = grid.directions().reshape(-1, 3).float(), grid.projected_solid_angles().flatten().float()
+    wi = grid.directions().reshape(-1, 3).float()
+    weight = grid.projected_solid_angles().flatten().float()
     for degrees in (0.0, 30.0, 60.0):
         wo = torch.tensor([math.sin(math.radians(degrees)), 0.0, math.cos(math.radians(degrees))])
         for shape in space.samples:
@@ -125,7 +133,8 @@ def test_scale_of_a_user_space_scales_the_values_and_nothing_else(scale: float) 
         return BRDFSpace.user({str(n): lambda i, o, n=n: factor * brdf.blinn_phong(i, o, n) for n in (10.0, 60.0)})
 
     plain, scaled = (ptt.TensorBRDF.fit(named(f), (2, 8, 8), separated=2) for f in (1.0, scale))
-    wi, wo = cosine_directions(1000, 6), cosine_directions(1000, 7)
+    wi = cosine_directions(1000, 6)
+    wo = cosine_directions(1000, 7)
     for a, b in zip(plain.space.samples, scaled.space.samples, strict=True):
         values = scaled.evaluate(b, wi, wo) / scale
         assert torch.allclose(values, plain.evaluate(a, wi, wo), rtol=1e-3, atol=1e-3 * float(values.abs().max()))
@@ -139,7 +148,8 @@ def test_a_new_brdf_keeps_the_factors_and_the_others() -> None:
     assert torch.equal(old.u_i, new.u_i) and torch.equal(old.u_o, new.u_o)
     assert float(new.error[-1]) <= float(old.error[1]) * (1 + 1e-4)
     assert relative_error(new, new.space.samples[-1]) == pytest.approx(relative_error(old, space.samples[1]), rel=0.05)
-    wi, wo = cosine_directions(100, 8), cosine_directions(100, 9)
+    wi = cosine_directions(100, 8)
+    wo = cosine_directions(100, 9)
     assert torch.allclose(new.evaluate(space.samples[0], wi, wo), old.evaluate(space.samples[0], wi, wo), atol=1e-6)
 
 
@@ -164,7 +174,8 @@ def test_bytes_ranks_and_broadcasting(tensor: ptt.TensorBRDF) -> None:
     assert tensor.bytes == sum(b.nbytes for b in tensor.buffers())
     with pytest.raises(ValueError, match=r"ranks must be in 1\.\.length"):
         ptt.TensorBRDF.fit(BRDFSpace.blinn_phong((5.0,)), ranks=(2, 4, 4), separated=0)
-    wi, wo = cosine_directions(6, 10).reshape(2, 3, 3), cosine_directions(3, 11)
+    wi = cosine_directions(6, 10).reshape(2, 3, 3)
+    wo = cosine_directions(3, 11)
     assert tensor.evaluate(ptt.BlinnPhong(5.0), wi, wo).shape == (2, 3)
 
 
@@ -185,7 +196,8 @@ def test_extremes_stay_finite_and_lobes_reflect_at_most_the_albedo(
     tensor = ptt.TensorBRDF.fit(BRDFSpace(samples), (1, 6, 6), separated=4, resolution=16)
     assert all(buffer.isfinite().all() for buffer in tensor.buffers())
     assert (tensor.peaks >= 0).all() and float(tensor.peaks.sum(1).max()) < 4 / math.pi * 1.02
-    wi, wo = cosine_directions(1000, 12), cosine_directions(1000, 13)
+    wi = cosine_directions(1000, 12)
+    wo = cosine_directions(1000, 13)
     wi = torch.cat((wi, lobes.mirror(wo), torch.tensor([[0.0, 0.0, 1.0], [1.0, 0.0, 1e-5]])))
     wo = torch.cat((wo, wo, torch.tensor([[0.0, 0.0, 1.0], [-1.0, 0.0, 1e-5]])))
     for shape in samples:

@@ -41,7 +41,8 @@ def hemisphere(n: int, seed: int = 0) -> Tensor:
 
 def tilted(degrees: float, azimuth: float = 0.0) -> Tensor:
     t = math.radians(degrees)
-    x, y = math.sin(t) * math.cos(azimuth), math.sin(t) * math.sin(azimuth)
+    x = math.sin(t) * math.cos(azimuth)
+    y = math.sin(t) * math.sin(azimuth)
     return torch.tensor([x, y, math.cos(t)], dtype=torch.float64)
 
 
@@ -73,7 +74,8 @@ def test_isotropic(name: str) -> None:
     """Turning rounds the directions by 1e-16, a half vector by 1e-14 (v.h > 0.01): 1e-6 of a lobe of width 1e-8."""
     wi, wo = near_mirror()
     wide = (wi + wo).norm(dim=1) > 0.02
-    c, s = math.cos(0.7), math.sin(0.7)
+    c = math.cos(0.7)
+    s = math.sin(0.7)
     turn = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]], dtype=torch.float64)
     value = SHAPES[name](wi, wo)[wide]
     atol = 1e-12 * float(value.max())
@@ -82,7 +84,9 @@ def test_isotropic(name: str) -> None:
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_zero_at_and_below_the_horizon(name: str) -> None:
-    up, side, down = tilted(0), tilted(90.0) * torch.tensor([1.0, 1.0, 0.0]), tilted(135)
+    up = tilted(0)
+    side = tilted(90.0) * torch.tensor([1.0, 1.0, 0.0])
+    down = tilted(135)
     for a, b in [(up, side), (up, down), (down, down), (down, up)]:
         assert SHAPES[name](a, b) == 0
 
@@ -92,7 +96,8 @@ def test_albedo_of_lambert_is_one_and_that_of_wide_lobes_is_the_disks() -> None:
     wo = torch.stack([tilted(t, 0.3) for t in ANGLES])
     assert torch.allclose(albedo(brdf.lambert, wo), wo.new_ones(()), rtol=0, atol=1e-6)
     grid = Disk(600)
-    wi, weight = grid.directions().reshape(-1, 3), grid.projected_solid_angles().flatten()
+    wi = grid.directions().reshape(-1, 3)
+    weight = grid.projected_solid_angles().flatten()
     for name in ("blinn-phong 20", "cook-torrance 0.04 0.3", "ward 0.3", "ward 0.5:0.05", "ggx 1 1"):
         for direction in wo[[0, 4]]:
             dense = float((SHAPES[name](wi, direction) * weight).sum())
@@ -163,19 +168,25 @@ def test_cook_torrance_albedo_is_at_most_four_over_pi(m: float) -> None:
 
 def test_cook_torrance_is_the_formula_of_the_fitted_table() -> None:
     """Written out at one pair of directions, term by term, in plain Python."""
-    wi, wo, f0, m = tilted(30), tilted(-50), 0.2, 0.3
+    wi = tilted(30)
+    wo = tilted(-50)
+    f0 = 0.2
+    m = 0.3
     h = (wi + wo) / (wi + wo).norm()
-    th, vh = math.acos(float(h[2])), float(wo @ h)
+    th = math.acos(float(h[2]))
+    vh = float(wo @ h)
     d = math.exp(-(math.tan(th) ** 2) / m**2) / (m**2 * math.cos(th) ** 4)
     f = f0 + (1 - f0) * (1 - vh) ** 5
-    nl, nv = float(wi[2]), float(wo[2])
+    nl = float(wi[2])
+    nv = float(wo[2])
     g = min(1.0, 2 * float(h[2]) * nv / vh, 2 * float(h[2]) * nl / vh)
     assert float(brdf.cook_torrance(wi, wo, f0, m)) == pytest.approx(d * f * g / (math.pi**2 * nl * nv), rel=1e-12)
 
 
 def test_anisotropic_ward_turns_with_its_axes() -> None:
     """Swapping the slopes is turning both directions by 90 degrees; equal slopes are isotropic."""
-    wi, wo = hemisphere(500), hemisphere(500, 1)
+    wi = hemisphere(500)
+    wo = hemisphere(500, 1)
     turn = torch.tensor([[0, -1, 0], [1, 0, 0], [0, 0, 1]], dtype=torch.float64)
     swapped = brdf.ward(wi @ turn.T, wo @ turn.T, 0.5, 0.1)
     assert torch.allclose(swapped, brdf.ward(wi, wo, 0.1, 0.5), rtol=1e-9)
@@ -185,9 +196,16 @@ def test_anisotropic_ward_turns_with_its_axes() -> None:
 
 def test_ggx_is_the_formula_of_gltf() -> None:
     """D, G2 = 2 nl nv / (..) and F written out in plain Python, f = D G F / (4 nl nv)."""
-    wi, wo, f0, roughness = tilted(40), tilted(-25), 0.1, 0.5
+    wi = tilted(40)
+    wo = tilted(-25)
+    f0 = 0.1
+    roughness = 0.5
     h = (wi + wo) / (wi + wo).norm()
-    a2, nl, nv, nh, vh = roughness**4, float(wi[2]), float(wo[2]), float(h[2]), float(wo @ h)
+    a2 = roughness**4
+    nl = float(wi[2])
+    nv = float(wo[2])
+    nh = float(h[2])
+    vh = float(wo @ h)
     d = a2 / (math.pi * (nh**2 * (a2 - 1) + 1) ** 2)
     smith = [(-1 + math.sqrt(1 + a2 * (1 / c**2 - 1))) / 2 for c in (nl, nv)]
     f = f0 + (1 - f0) * (1 - vh) ** 5
@@ -199,7 +217,8 @@ def test_ggx_is_the_formula_of_gltf() -> None:
 def test_float32_agrees_with_float64(name: str) -> None:
     wi = hemisphere(500)
     wo = torch.nn.functional.normalize(wi * torch.tensor([-1.0, -1.0, 1.0]) + 0.02 * hemisphere(500, 2), dim=1)
-    wi32, wo32 = wi.float(), wo.float()
+    wi32 = wi.float()
+    wo32 = wo.float()
     exact = SHAPES[name](wi32.double(), wo32.double())
     assert torch.allclose(SHAPES[name](wi32, wo32).double(), exact, rtol=2e-3, atol=1e-5 * float(exact.max()))
 
@@ -214,7 +233,8 @@ def test_float32_peak_of_the_narrowest_ggx() -> None:
     "model", [brdf.cook_torrance, brdf.ward, brdf.ggx, lambda i, o, n, _: brdf.blinn_phong(i, o, 50 * n)]
 )
 def test_gradients(model: Callable[..., Tensor]) -> None:
-    wi, wo = hemisphere(5), hemisphere(5, 1)
+    wi = hemisphere(5)
+    wo = hemisphere(5, 1)
     a, b = (torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in (0.3, 0.4))
     assert torch.autograd.gradcheck(lambda x, y: model(wi, wo, x, y), (a, b))
 
@@ -244,6 +264,7 @@ def test_gradients_are_finite_at_the_extremes(f0: float, width: float, dtype: to
 def test_finite_in_float32_also_next_to_the_horizon(name: str) -> None:
     assert all(SHAPES[name](wi.float(), wo.float()).isfinite().all() for wi, wo in (near_mirror(), extremes()))
     for z in (1e-3, 1e-6, 1e-9, 1e-12):
-        a, b = torch.tensor([1.0, 0.0, z]), torch.tensor([-1.0, 0.0, z])
+        a = torch.tensor([1.0, 0.0, z])
+        b = torch.tensor([-1.0, 0.0, z])
         for wi, wo in [(a, b), (a, a), (b, torch.tensor([0.0, 1.0, z]))]:
             assert SHAPES[name](wi, wo).isfinite()

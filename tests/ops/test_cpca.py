@@ -127,7 +127,8 @@ def test_basis_spans_what_the_svd_spans(n: int, r: int) -> None:
     u = torch.linalg.qr(torch.randn(n, min(n, r), generator=generator(), dtype=torch.float64))[0]
     v = torch.linalg.qr(torch.randn(r, min(n, r), generator=generator(1), dtype=torch.float64))[0]
     x = (u * 1.5 ** -torch.arange(min(n, r))) @ v.T
-    found, expected = cpca.basis(x, 5), torch.linalg.svd(x)[2][:5]
+    found = cpca.basis(x, 5)
+    expected = torch.linalg.svd(x)[2][:5]
     assert found.dtype == torch.float64
     assert torch.allclose((found @ expected.T).abs(), torch.eye(5, dtype=torch.float64), rtol=0, atol=1e-11)
     single = cpca.basis(x.float(), 5)
@@ -153,7 +154,8 @@ def test_rows_of_a_basis_are_orthonormal_also_where_little_is_left(n: int, r: in
 @pytest.mark.parametrize(("n", "r"), [(9, 20), (20, 9)])
 def test_rows_beyond_the_rank_are_zero(n: int, r: int) -> None:
     """Rank 3 in float64: the Gram matrix' other eigenvalues are rounding, 1e-16 of the first, and below the cutoff."""
-    a, b = torch.randn(n, 3, generator=generator()), torch.randn(3, r, generator=generator(1))
+    a = torch.randn(n, 3, generator=generator())
+    b = torch.randn(3, r, generator=generator(1))
     x = a.double() @ b.double()
     rows = cpca.basis(x, 7)
     assert torch.allclose(rows[:3] @ rows[:3].T, torch.eye(3, dtype=torch.float64), rtol=0, atol=1e-12)

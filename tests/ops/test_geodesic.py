@@ -40,7 +40,8 @@ def test_the_icosahedron() -> None:
 
 @pytest.mark.parametrize("level", range(4))
 def test_children_nest_and_the_first_is_in_the_middle(level: int) -> None:
-    grid, fine = Geodesic(level), Geodesic(level + 1)
+    grid = Geodesic(level)
+    fine = Geodesic(level + 1)
     torch.testing.assert_close(grid.coarsen(fine.solid_angles(), 2), grid.solid_angles(), rtol=1e-12, atol=0)
     parts = fine.corners().unflatten(0, (-1, 4))
     torch.testing.assert_close(parts[:, 1:].diagonal(dim1=1, dim2=2).movedim(-1, 1), grid.corners())

@@ -15,7 +15,8 @@ def random(*shape: int) -> Tensor:
 
 @pytest.mark.parametrize("n", [1, 2, 8, 64])
 def test_round_trip_and_parseval(n: int) -> None:
-    a, b = random(3, n, n), random(3, n, n).flip(0)
+    a = random(3, n, n)
+    b = random(3, n, n).flip(0)
     assert torch.allclose(haar.synthesise(haar.analyse(a)), a, atol=1e-12)
     assert torch.allclose(haar.analyse(haar.synthesise(a)), a, atol=1e-12)
     product = (haar.analyse(a) * haar.analyse(b)).sum()

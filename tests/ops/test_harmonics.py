@@ -43,7 +43,8 @@ def test_addition_theorem() -> None:
 def test_against_scipy() -> None:
     """scipy's complex functions carry (-1)^m; the real ones are sqrt(2) times real and imaginary parts."""
     d, _ = quadrature(7)
-    theta, phi = torch.acos(d[:, 2]).numpy(), torch.atan2(d[:, 1], d[:, 0]).numpy()
+    theta = torch.acos(d[:, 2]).numpy()
+    phi = torch.atan2(d[:, 1], d[:, 0]).numpy()
     ours = harmonics.evaluate(d, 6).numpy()
     for l in range(6):  # noqa: E741
         for m in range(l + 1):
@@ -68,7 +69,8 @@ def test_hemispherical_ones_are_orthonormal_under_the_cosine(order: int, atol: f
     28-fold with each order, and the error with it: 3e4 at order 4, 6e8 at order 7.
     """
     t, w = np.polynomial.legendre.leggauss(60)
-    t, w = (t + 1) * math.pi / 4, w * math.pi / 4
+    t = (t + 1) * math.pi / 4
+    w = w * math.pi / 4
     phi = (np.arange(4 * order) + 0.3) * (math.pi / (2 * order))
     weights = torch.from_numpy(np.repeat(w * np.sin(t) * np.cos(t), len(phi)) * (math.pi / (2 * order)))
     t, phi = (x.ravel() for x in np.meshgrid(t, phi, indexing="ij"))

@@ -28,7 +28,8 @@ TILTS = (0.0, 30.0, 60.0, 80.0, 88.0)
 
 
 def tilted(degrees: float, turn: float = 0.0) -> Tensor:
-    a, b = math.radians(degrees), math.radians(turn)
+    a = math.radians(degrees)
+    b = math.radians(turn)
     return torch.tensor([math.sin(a) * math.cos(b), math.sin(a) * math.sin(b), math.cos(a)], dtype=torch.float64)
 
 
@@ -59,7 +60,8 @@ def test_lobes_and_remainder_reflect_as_much_as_the_brdf(shape: Shape, count: in
     wo = OUT[:, None].expand_as(wi)
     values = shape.evaluate(wi, wo)
     rest = separation.remainder(values, lobes.from_mirror(wi, wo), at_wo(found), angles)
-    whole, left = (values * weights).sum(-1), (rest * weights).sum(-1)
+    whole = (values * weights).sum(-1)
+    left = (rest * weights).sum(-1)
     reflected = separation.taken([shape.evaluate], OUT, angles, 32 if shape.isotropic else 160).total[:, 0]
     assert torch.allclose(reflected + left, whole, rtol=0.01 if shape.isotropic else 0.03)
 
@@ -161,11 +163,13 @@ def test_evaluated_lobes_reflect_their_fraction(k: int, degrees: float, lean: fl
         pytest.skip("a cone of 3.5 degrees is cut by the horizon, a mirror is not")
     if degrees < lean:
         pytest.skip("beyond the normal")
-    wo, tilt = tilted(degrees), torch.acos(TABLE[:, 2])
+    wo = tilted(degrees)
+    tilt = torch.acos(TABLE[:, 2])
     axes = torch.stack(((tilt - math.radians(lean)).sin() / tilt.sin(), (tilt - math.radians(lean)).cos()))
     wi, weights = nodes(wo, finest=1e-2, rings=400, turns=400)
     reflected = torch.nn.functional.one_hot(torch.tensor(k), 4).double()
-    reflected, axes = reflected[:, None].expand(-1, len(wi)), axes[:, None].expand(-1, 4, -1)
+    reflected = reflected[:, None].expand(-1, len(wi))
+    axes = axes[:, None].expand(-1, 4, -1)
     value = lobes.evaluate(reflected, axes, wi, wo.expand_as(wi))
     assert float((value * weights).sum()) == pytest.approx(1.0, abs=0.01)
 
@@ -186,7 +190,9 @@ def test_zonal_is_what_a_lobe_leaves_of_harmonics(lobe: float) -> None:
     By midpoints on a polar grid about the axis, sin(t) dt dphi, independent of Legendre polynomials. The lobe of 0
     degrees is a mirror: 1 throughout, though `gaussian` gives it a width. 21 degrees leave about 1 - l (l + 1) s^2 / 2.
     """
-    order, rings, turns = 5, 400, 64
+    order = 5
+    rings = 400
+    turns = 64
     axis = tilted(50.0, 20.0)
     across = torch.linalg.cross(axis, tilted(0.0))
     across = across / across.norm()

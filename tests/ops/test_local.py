@@ -40,7 +40,8 @@ def test_brdf_against_its_albedo() -> None:
 
 def test_an_open_sky_is_all_visible() -> None:
     """From the middle of a lone triangle all that lies above the horizon is seen, and nothing below."""
-    vertices, faces = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), torch.tensor([[0, 1, 2]])
+    vertices = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    faces = torch.tensor([[0, 1, 2]])
     grid = Geodesic(2)
     seen = local.visibility(Surface(vertices, faces), torch.full((1, 3), 0.2), torch.eye(3)[None], grid, 4)[0]
     z = grid.corners()[..., 2]
@@ -62,9 +63,11 @@ def test_half_of_the_sky_behind_a_wall() -> None:
 @pytest.mark.parametrize(("level", "bound"), [(2, 0.06), (3, 0.03), (4, 0.02)])
 def test_triple_product_against_the_path_tracer(small_scene: ptt.Scene, level: int, bound: float) -> None:
     """Shadows, a glossy and a dull material, a soft light: light rotated into each vertex's frame, times V, times F."""
-    sky, grid = ptt.Environment.sun_sky(radius=25.0), Geodesic(level)
+    sky = ptt.Environment.sun_sky(radius=25.0)
+    grid = Geodesic(level)
     index = torch.arange(0, len(small_scene.vertices), 5)
-    frames, wo = small_scene.frames[index], small_scene.camera.toward(small_scene.points[index])
+    frames = small_scene.frames[index]
+    wo = small_scene.camera.toward(small_scene.points[index])
     seen = local.visibility(small_scene.surface, small_scene.points[index], frames, grid, 4).double() / 255
     values = sky.project(Octahedral(64)).reshape(-1, 3).double()
     s = rotation.resampling(Octahedral(64), grid, frames, 4)

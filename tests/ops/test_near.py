@@ -21,7 +21,9 @@ def frames_of(count: int) -> Tensor:
     g = torch.Generator().manual_seed(0)
     axes = rotation.frames_of(torch.randn(count, 3, generator=g))
     angle = torch.rand(count, generator=g) * 2 * math.pi
-    c, s, o = angle.cos(), angle.sin(), torch.zeros_like(angle)
+    c = angle.cos()
+    s = angle.sin()
+    o = torch.zeros_like(angle)
     return torch.stack((c, s, o, -s, c, o, o, o, o + 1), 1).reshape(-1, 3, 3) @ axes
 
 
@@ -47,7 +49,9 @@ def test_frames_find_themselves(ops: object, built: None) -> None:
 
 def test_frames_of_neighbours_are_near() -> None:
     """The frames found are those around: within two cells of the normal's map, and half a turn's step."""
-    frames, n, twists = frames_of(500), 16, 32
+    frames = frames_of(500)
+    n = 16
+    twists = 32
     found = near.of_frames(frames, own(n), twists)
     sums_to_one(found)
     around = turned(own(n).double(), twists).float()[found.rows.long()]
@@ -76,17 +80,21 @@ def test_between_two_turns() -> None:
 
 
 def turned_by(angle: float) -> Tensor:
-    c, s = math.cos(angle), math.sin(angle)
+    c = math.cos(angle)
+    s = math.sin(angle)
     return torch.tensor([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def test_kernels(built: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """As the plain functions but for turns that are nearly between two."""
-    frames, g = frames_of(POINTS), torch.Generator().manual_seed(1)
-    positions, eye = torch.randn(POINTS, 3, generator=g), torch.tensor([0.3, 2.0, 1.0])
+    frames = frames_of(POINTS)
+    g = torch.Generator().manual_seed(1)
+    positions = torch.randn(POINTS, 3, generator=g)
+    eye = torch.tensor([0.3, 2.0, 1.0])
     away = torch.randn(POINTS, 3, generator=g)
     away[7] = 0
-    uv, triangle = torch.rand(40, 3, 2, generator=g), torch.randint(40, (POINTS,), generator=g)
+    uv = torch.rand(40, 3, 2, generator=g)
+    triangle = torch.randint(40, (POINTS,), generator=g)
     barycentric = normalize(torch.rand(POINTS, 3, generator=g), p=1)
     texels = torch.randint(999, (32 * 32,), generator=g).int()
     cases = [
@@ -110,7 +118,8 @@ def test_kernels(built: None, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_views_interpolate_a_smooth_function() -> None:
     cells = HemiOctahedral(32)
     height = cells.directions()[..., 2].flatten().float()
-    frames, away = frames_of(POINTS), torch.randn(POINTS, 3, generator=torch.Generator().manual_seed(2))
+    frames = frames_of(POINTS)
+    away = torch.randn(POINTS, 3, generator=torch.Generator().manual_seed(2))
     local = torch.einsum("pax,px->pa", frames, normalize(away, dim=1))
     found = near.of_views(frames, torch.zeros(POINTS, 3), away, 32)
     sums_to_one(found)

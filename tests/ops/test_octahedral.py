@@ -57,7 +57,8 @@ def test_solid_angles_sum_to_the_sphere_or_the_hemisphere(grid: Grid) -> None:
 
 @pytest.mark.parametrize("grid", GRIDS, ids=str)
 def test_cell_inverts_directions(grid: Grid) -> None:
-    d, numbers = grid.directions(), torch.arange(grid.cells).view(grid.shape)
+    d = grid.directions()
+    numbers = torch.arange(grid.cells).view(grid.shape)
     assert d.shape == (*grid.shape, 3)
     assert torch.allclose(d.norm(dim=-1), torch.ones(grid.shape, dtype=torch.float64), atol=1e-14, rtol=0)
     assert torch.equal(grid.cell(d), numbers)
@@ -71,10 +72,12 @@ def test_cell_inverts_directions(grid: Grid) -> None:
 @pytest.mark.parametrize("grid", GRIDS, ids=str)
 @pytest.mark.parametrize("k", [1, 2, 3])
 def test_refined_cells_nest(grid: Grid, k: int) -> None:
-    fine, n = grid.refine(k), grid.shape[0]
+    fine = grid.refine(k)
+    n = grid.shape[0]
     assert torch.allclose(grid.coarsen(fine.solid_angles(), k), grid.solid_angles(), rtol=1e-12, atol=0)
     d = random_directions(20_000)
-    row, column = fine.cell(d) // (n * k), fine.cell(d) % (n * k)
+    row = fine.cell(d) // (n * k)
+    column = fine.cell(d) % (n * k)
     assert torch.equal(row // k * n + column // k, grid.cell(d))
 
 
@@ -106,11 +109,14 @@ def test_solid_angles_against_quadrature() -> None:
 def test_charts_are_round_trips() -> None:
     a, b = (2 * torch.rand(2, 10_000, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) - 1).unbind(0)
     z = 1 - a.abs() - b.abs()
-    inner, outer = torch.stack((a, b, z), -1), torch.stack(((1 - b.abs()) * a.sign(), (1 - a.abs()) * b.sign(), z), -1)
-    ab, d = torch.stack((a, b), -1), torch.where(z[:, None] >= 0, inner, outer)
+    inner = torch.stack((a, b, z), -1)
+    outer = torch.stack(((1 - b.abs()) * a.sign(), (1 - a.abs()) * b.sign(), z), -1)
+    ab = torch.stack((a, b), -1)
+    d = torch.where(z[:, None] >= 0, inner, outer)
     assert torch.allclose(octahedral(d), ab, atol=1e-14, rtol=0)
     assert torch.allclose(octahedral(1e-5 * d), ab, atol=1e-14, rtol=0)
-    x, y = (a + b) / 2, (a - b) / 2
+    x = (a + b) / 2
+    y = (a - b) / 2
     d = torch.stack((x, y, 1 - x.abs() - y.abs()), -1)
     assert torch.allclose(hemi_octahedral(7 * d), ab, atol=1e-14, rtol=0)
     assert torch.equal(hemi_octahedral(d * UPRIGHT), hemi_octahedral(d))
@@ -158,7 +164,8 @@ def test_means_integrate_a_smooth_function_and_do_not_depend_on_the_chunks(grid:
     def heights(d: torch.Tensor) -> torch.Tensor:
         return torch.stack((d[..., 2], d[..., 2] ** 2, torch.ones_like(d[..., 2])), -1)
 
-    means, whole = grid.means(heights, 16), float(grid.solid_angles().sum())
+    means = grid.means(heights, 16)
+    whole = float(grid.solid_angles().sum())
     assert means.shape == (*grid.shape, 3)
     assert torch.allclose(means, grid.means(heights, 16, chunk=100), atol=1e-6)
     assert torch.allclose(means[..., 2], torch.ones(grid.shape), atol=1e-6)
@@ -187,7 +194,8 @@ def test_corners_are_cells_with_weights_that_sum_to_one(wrap: bool) -> None:
 
 
 def test_corners_beyond_an_edge_are_mirrored_or_repeated() -> None:
-    top_left, left = torch.tensor([-1.0, -1.0]), torch.tensor([-1.0, -0.75])  # of 4 x 4 cells
+    top_left = torch.tensor([-1.0, -1.0])
+    left = torch.tensor([-1.0, -0.75])  # of 4 x 4 cells
     assert sorted(corners(top_left, 4, wrap=True)[0].tolist()) == [0, 3, 12, 15]
     assert corners(left, 4, wrap=True)[0].tolist()[:2] == [12, 0]
     assert corners(left.flip(0), 4, wrap=True)[0].tolist()[::2] == [3, 0]
@@ -205,7 +213,8 @@ def test_lookups_at_the_centres_of_cells_are_exact(grid: Grid) -> None:
 @pytest.mark.parametrize("sphere", [True, False])
 def test_lookups_along_great_circles_follow_the_function_without_a_jump(sphere: bool, n: int) -> None:
     """Along the edges of the square through -z, across them, along the horizon's fold, and over all faces."""
-    steps, grid = 20_000, Octahedral(n) if sphere else HemiOctahedral(n)
+    steps = 20_000
+    grid = Octahedral(n) if sphere else HemiOctahedral(n)
     for axes in (((0, 0, 1), (1, 0, 0)), ((0, 0, 1), (0.3, 0.7, 0)), ((1, 0, 0), (0, 1, 0)), ((1, 2, 3), (-2, 1, 0.5))):
         d = great_circle(steps, *axes)
         upper = d if sphere else torch.cat((d[:, :2], d[:, 2:].abs()), -1)

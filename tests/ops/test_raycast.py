@@ -13,7 +13,8 @@ from ptt.ops import mesh
 from ptt.ops.raycast import Surface
 
 FLOOR = mesh.plane_mesh(2.0, 1)  # in the plane y = 0, seen from above
-UP, DOWN = torch.tensor([[0.0, 1.0, 0.0]]), torch.tensor([[0.0, -1.0, 0.0]])
+UP = torch.tensor([[0.0, 1.0, 0.0]])
+DOWN = torch.tensor([[0.0, -1.0, 0.0]])
 
 
 def test_a_hit_has_the_distance_side_and_place_of_the_plane() -> None:

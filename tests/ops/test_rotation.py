@@ -38,7 +38,8 @@ def local_oracle(source: int, m: int, frame: Tensor, values: Tensor, samples: in
 @pytest.mark.parametrize(("n", "m"), [(2, 1), (4, 2), (16, 8), (8, 16)])
 @pytest.mark.parametrize("samples", [1, 3, 4])
 def test_resampling_is_the_mean_of_samples(n: int, m: int, samples: int) -> None:
-    frames, values = random_frames(3), torch.randn(n * n, 2, dtype=torch.float64)
+    frames = random_frames(3)
+    values = torch.randn(n * n, 2, dtype=torch.float64)
     s = rotation.resampling(Octahedral(n), HemiOctahedral(m), frames, samples)
     got = rotation.resample(values, s).reshape(3, m * m, 2)
     for frame, local in zip(frames, got, strict=True):
@@ -77,7 +78,8 @@ def test_identity_between_equal_grids_changes_nothing() -> None:
 
 def test_symmetries_of_the_map_permute_cells() -> None:
     """A quarter turn about z takes cells to cells: exact, and four of them are the identity."""
-    values, quarter = torch.randn(16, 16, 1, dtype=torch.float64), turn(2, 90)
+    values = torch.randn(16, 16, 1, dtype=torch.float64)
+    quarter = turn(2, 90)
     once = rotation.rotate(values, quarter)
     assert torch.equal(once.flatten().sort().values, values.flatten().sort().values)
     four = values
@@ -91,7 +93,8 @@ def test_rotation_on_triangles(level: int) -> None:
     """In the triangular basis: a constant, the identity, a smooth function, there and back, all as on squares."""
     grid = Geodesic(level)
     constant = torch.full((grid.cells, 1), 0.75, dtype=torch.float64)
-    values, edge = smooth(grid.directions()), 1.2 / 2**level  # of the largest triangle
+    values = smooth(grid.directions())
+    edge = 1.2 / 2**level  # of the largest triangle
     assert torch.equal(rotation.rotate(values, torch.eye(3, dtype=torch.float64), source=grid), values)
     for frame in random_frames(3):
         assert torch.equal(rotation.rotate(constant, frame, source=grid), constant)
@@ -132,7 +135,8 @@ def test_energy_is_kept_to_a_bound_that_falls() -> None:
     worst = []
     for n in (16, 32, 64):
         grid = Octahedral(n)
-        solid, values = grid.solid_angles()[..., None], smooth(grid.directions()) + 2
+        solid = grid.solid_angles()[..., None]
+        values = smooth(grid.directions()) + 2
         frames = random_frames(4)
         whole = (values * solid).sum((0, 1))
         off = [((rotation.rotate(values, f) * solid).sum((0, 1)) - whole) / whole for f in frames]
@@ -176,7 +180,8 @@ def test_haar_matrix_is_the_transform(n: int) -> None:
 
 @pytest.mark.parametrize(("n", "m"), [(2, 1), (16, 8), (8, 16), (16, 16)])
 def test_factored_equals_matrix_equals_resample(n: int, m: int) -> None:
-    frames, target = random_frames(6), HemiOctahedral(m)
+    frames = random_frames(6)
+    target = HemiOctahedral(m)
     light = torch.rand(3, n, n, dtype=torch.float64) / 3
     s = rotation.resampling(Octahedral(n), target, frames)
     factored = rotation.local_light(light, s, m)
@@ -236,7 +241,8 @@ def test_frames_of_normals() -> None:
 
 
 def test_refuses() -> None:
-    grid, frame = Octahedral(4), torch.eye(3)[None]
+    grid = Octahedral(4)
+    frame = torch.eye(3)[None]
     for samples in (0, 16):
         with pytest.raises(ValueError, match="samples"):
             rotation.resampling(grid, grid, frame, samples)

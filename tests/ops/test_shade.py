@@ -28,7 +28,8 @@ def scene(n: int, p: int = 37, k: int = 4, j: int = 4, i: int = 1, storage: torc
     specular = torch.rand(i, 3, 3, generator=g)
     specular[:, 2] = 0  # a dull region
     coats = Coats(torch.rand(i, 3, 3, generator=g), specular, torch.randint(2, (i, 3), generator=g).int() * 9)
-    region, second = torch.randint(3, (p,), generator=g).int(), torch.rand(p, generator=g)
+    region = torch.randint(3, (p,), generator=g).int()
+    second = torch.rand(p, generator=g)
     second[:3] = torch.tensor([0.0, 1.0, 0.5])
     return (
         functions,
@@ -39,10 +40,12 @@ def scene(n: int, p: int = 37, k: int = 4, j: int = 4, i: int = 1, storage: torc
 
 def test_the_sum_written_out() -> None:
     functions, coats, at = scene(20, p=5, i=2)
-    light, glossy = functions.light.to_dense(), functions.glossy.to_dense()
+    light = functions.light.to_dense()
+    glossy = functions.glossy.to_dense()
     got = shade.shade(functions, coats, at)
     for p in range(5):
-        r, shares = int(at.region[p]), (1 - float(at.second[p]), float(at.second[p]))
+        r = int(at.region[p])
+        shares = (1 - float(at.second[p]), float(at.second[p]))
         for c in range(3):
             total = 0.0
             for t in range(20):

@@ -55,7 +55,8 @@ def test_a_point_weighs_itself(points: Tensor) -> None:
 def test_a_grid_is_bilinear() -> None:
     """In whatever order the pairs come: the product of the weights along both axes, beyond the border its nearest."""
     shuffle = torch.tensor([4, 0, 5, 2, 1, 3])
-    x, y = torch.tensor([1.0, 2.0, 5.0]), torch.tensor([0.0, 10.0])
+    x = torch.tensor([1.0, 2.0, 5.0])
+    y = torch.tensor([0.0, 10.0])
     points = torch.cartesian_prod(x, y)[shuffle]
     along = {1.25: [0.75, 0.25, 0], 4.0: [0, 1 / 3, 2 / 3], 9.0: [0, 0, 1], 0.0: [1, 0, 0]}
     up = {3.0: [0.7, 0.3], -2.0: [1, 0], 11.0: [0, 1]}
@@ -81,7 +82,8 @@ def test_beyond_a_plane_the_nearest_in_parts_of_the_range() -> None:
 
 def test_beyond_a_plane_nothing_in_the_hull_is_nearer() -> None:
     points = CLOUDS["plane"]
-    simplices, scale = Simplices(points), points.amax(0) - points.amin(0)
+    simplices = Simplices(points)
+    scale = points.amax(0) - points.amin(0)
     mixed = random(4000, len(points), seed=3) ** 30
     inside = (mixed / mixed.sum(1, keepdim=True)) @ points / scale
     for turn in range(12):

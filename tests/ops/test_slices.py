@@ -28,11 +28,13 @@ def points(count: int = 32, normals: int = 8, seed: int = 0) -> tuple[Located, T
 
 def test_all_terms_are_the_integral() -> None:
     """Every coefficient kept: slice times local light is the sum over cells of light x BRDF x cosine x solid angle."""
-    m, views = 8, 4
+    m = 8
+    views = 4
     cut = slices.tabulate(SHAPE.evaluate, m, views, m * m, samples=4)
     light = torch.rand(m, m, dtype=torch.float64)
     fine = HemiOctahedral(m * 4)
-    wi, weight = fine.directions(), fine.solid_angles() * fine.directions()[..., 2]
+    wi = fine.directions()
+    weight = fine.solid_angles() * fine.directions()[..., 2]
     wo = HemiOctahedral(views).directions().reshape(-1, 1, 1, 3)
     spread = light.repeat_interleave(4, 0).repeat_interleave(4, 1)
     wanted = (SHAPE.evaluate(wi, wo) * weight * spread).sum((1, 2))
@@ -130,7 +132,10 @@ def test_a_highlight_between_normals_stays_one() -> None:
     A small light that each point mirrors to its viewer: radiance is within a fifth of the quadrature's. Looking up the
     viewer's own direction at each normal, as if it were the point's, loses more than twice as much.
     """
-    n, m, normals, shape = 64, 32, 16, BlinnPhong(200.0)
+    n = 64
+    m = 32
+    normals = 16
+    shape = BlinnPhong(200.0)
     sampled = rotation.frames_of(Octahedral(normals).directions().reshape(-1, 3))
     s = rotation.resampling(Octahedral(n), HemiOctahedral(m), sampled)
     g = torch.Generator().manual_seed(0)
@@ -157,7 +162,8 @@ def test_a_highlight_between_normals_stays_one() -> None:
 
 def test_twists_of_an_anisotropic_shape() -> None:
     """A quarter turn of the tangent: the slice of that twist is the shape of swapped slopes, seen unturned."""
-    brushed, crossed = Ward(0.1, 0.4), Ward(0.4, 0.1)
+    brushed = Ward(0.1, 0.4)
+    crossed = Ward(0.4, 0.1)
     four = slices.tabulate(brushed.evaluate, 8, 4, 64, twists=4).to_dense(64)
     plain = slices.tabulate(crossed.evaluate, 8, 4, 64, twists=2).to_dense(64)[:16]
     torch.testing.assert_close(four[16:32], plain, rtol=0, atol=2e-4)

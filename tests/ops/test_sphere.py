@@ -48,7 +48,8 @@ def test_cell_inverts_directions(grid: Grid) -> None:
 
 @pytest.mark.parametrize("grid", DISKS, ids=str)
 def test_disk_cells_with_a_weight_invert_and_the_others_lie_on_the_horizon(grid: Disk) -> None:
-    weighs, d = grid.projected_solid_angles() > 0, grid.directions()
+    weighs = grid.projected_solid_angles() > 0
+    d = grid.directions()
     assert torch.equal(weighs, grid.solid_angles() > 0)
     assert torch.equal(grid.cell(d)[weighs], numbers(grid)[weighs])
     assert torch.equal(grid.cell(d * torch.tensor([1, 1, -1]))[weighs], numbers(grid)[weighs])
@@ -89,7 +90,8 @@ def test_coarsen_keeps_trailing_axes_and_refuses_other_shapes() -> None:
 @pytest.mark.parametrize("grid", [LatLong(4, 8), Cube(3), Disk(6)], ids=str)
 def test_share_of_random_directions_is_the_share_of_solid_angle(grid: Grid) -> None:
     """Standard error of a share p of n samples: sqrt(p (1 - p) / n); five of them allow for all cells."""
-    n, d = 400_000, random_directions(400_000)
+    n = 400_000
+    d = random_directions(400_000)
     if isinstance(grid, Disk):
         d[:, 2] = d[:, 2].abs()
     share = torch.bincount(grid.cell(d), minlength=grid.cells).view(grid.shape) / n
@@ -99,11 +101,15 @@ def test_share_of_random_directions_is_the_share_of_solid_angle(grid: Grid) -> N
 
 def test_random_directions_lie_between_the_bounds_of_their_cell() -> None:
     d = random_directions(10_000)
-    row, column = LatLong(16, 32).cell(d) // 32, LatLong(16, 32).cell(d) % 32
-    v, u = torch.acos(d[:, 1]) / pi * 16, torch.atan2(d[:, 0], -d[:, 2]) / (2 * pi) % 1 * 32
+    row = LatLong(16, 32).cell(d) // 32
+    column = LatLong(16, 32).cell(d) % 32
+    v = torch.acos(d[:, 1]) / pi * 16
+    u = torch.atan2(d[:, 0], -d[:, 2]) / (2 * pi) % 1 * 32
     assert ((row <= v) & (v <= row + 1) & (column <= u) & (u <= column + 1)).all()
-    row, column = Disk(10).cell(d) // 10, Disk(10).cell(d) % 10
-    y, x = (d[:, 1] + 1) * 5, (d[:, 0] + 1) * 5
+    row = Disk(10).cell(d) // 10
+    column = Disk(10).cell(d) % 10
+    y = (d[:, 1] + 1) * 5
+    x = (d[:, 0] + 1) * 5
     assert ((row <= y) & (y <= row + 1) & (column <= x) & (x <= column + 1)).all()
 
 
@@ -162,7 +168,8 @@ def test_projected_solid_angles_sum_to_pi_and_are_even_inside() -> None:
 
 def test_disk_measures_against_quadrature() -> None:
     """Area of a cut cell: integral of the chord over x. Solid angle: integral of asin(y / sqrt(1 - x^2))."""
-    grid, n = Disk(5), 5
+    grid = Disk(5)
+    n = 5
     edge = [2 * i / n - 1 for i in range(n + 1)]
 
     def strip(i: int, j: int, measure: str) -> float:
@@ -195,7 +202,8 @@ def test_means_are_exact_on_constants_and_do_not_depend_on_the_chunks(grid: Grid
     def wave(d: torch.Tensor) -> torch.Tensor:
         return torch.stack((d[..., 0] + 2 * d[..., 1] * d[..., 2], torch.ones_like(d[..., 0])), -1)
 
-    whole, strips = grid.means(wave, 8), grid.means(wave, 8, chunk=100)
+    whole = grid.means(wave, 8)
+    strips = grid.means(wave, 8, chunk=100)
     assert whole.shape == (*grid.shape, 2)
     assert torch.allclose(whole, strips, atol=1e-6)
     assert torch.allclose(whole[..., 1], torch.ones(grid.shape), atol=1e-6)

@@ -77,8 +77,10 @@ def test_visibility_sees_a_plate_where_it_is() -> None:
 
 def test_direct_transfer_is_visibility_times_factor_times_cosine_by_a_plain_loop() -> None:
     """In float64, term by term; the factor table is linear in x and y, where bilinear lookups are exact."""
-    grid, n = Cube(8), 32
-    directions, solid = grid.directions().reshape(-1, 3), grid.solid_angles().flatten()
+    grid = Cube(8)
+    n = 32
+    directions = grid.directions().reshape(-1, 3)
+    solid = grid.solid_angles().flatten()
     generator = torch.Generator().manual_seed(0)
     frames = torch.linalg.qr(torch.randn(3, 3, 3, dtype=torch.float64, generator=generator))[0]
     visible = torch.rand(3, grid.cells, generator=generator) < 0.7
@@ -141,7 +143,8 @@ def test_gather_sees_no_back_faces() -> None:
     """Below a plane that faces upwards there is nothing to see, below one that faces downwards the plane."""
     vertices, faces = mesh.plane_mesh(50.0, 2)
     up = torch.tensor([[[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]])
-    local, below = transfer.gather_directions(64), torch.tensor([[0.3, -1.0, 0.2]])
+    local = transfer.gather_directions(64)
+    below = torch.tensor([[0.3, -1.0, 0.2]])
     u = torch.rand(1, 64, generator=torch.Generator().manual_seed(0))
     for turned, hit in ((faces, False), (faces.flip(1), True)):
         scene = ptt.Scene.from_mesh(vertices, turned)
@@ -153,7 +156,8 @@ def test_gather_draws_corners_by_their_barycentric_weights() -> None:
     """The ray straight up meets the triangle at weights (0.2, 0.5, 0.3): of n even numbers u so many draw each corner,
     in this order, to within one."""
     corners = torch.tensor([[-1.0, 2.0, -1.0], [1.0, 2.0, -1.0], [0.0, 2.0, 2.0]])
-    weights, n = torch.tensor([0.2, 0.5, 0.3]), 1000
+    weights = torch.tensor([0.2, 0.5, 0.3])
+    n = 1000
     point = weights @ corners * torch.tensor([1.0, 0.0, 1.0])
     scene = ptt.Scene.from_mesh(corners, torch.tensor([[2, 0, 1]]))
     scene = scene if bool((scene.normals[:, 1] < 0).all()) else ptt.Scene.from_mesh(corners, torch.tensor([[2, 1, 0]]))
@@ -178,7 +182,8 @@ def turned_frames(count: int) -> torch.Tensor:
 
 def test_lobes_that_see_everything_get_through() -> None:
     """255 of every lobe, also next to the horizon: what lies below is in no lobe. And 0 where nothing is seen."""
-    grid, frames = Cube(16), turned_frames(70)
+    grid = Cube(16)
+    frames = turned_frames(70)
     bits = torch.full((70, grid.cells // 8), 255, dtype=torch.uint8)
     found = transfer.lobe_visibility(bits, frames, grid, 6, ANGLES)
     assert found.dtype == torch.uint8 and found.shape == (70, 36, 4)
@@ -203,13 +208,16 @@ def test_lobes_are_cut_by_a_half_space_as_their_weight_is() -> None:
     The code sums over 64 x 64 cells, 1.8 degrees wide; the narrowest lobe is 7 degrees across, and the step from seen
     to hidden falls within one cell: up to a sixth of it. Left and right swapped, or an inverse frame, differ by 1.
     """
-    grid, cells, frames = Cube(64), 8, turned_frames(3)
+    grid = Cube(64)
+    cells = 8
+    frames = turned_frames(3)
     side = torch.nn.functional.normalize(torch.randn(3, 3, generator=torch.Generator().manual_seed(2)), dim=1)
     visible = side @ grid.directions().reshape(-1, 3).float().T > 0
     bits = torch.from_numpy(np.packbits(visible.numpy(), axis=1))
     found = transfer.lobe_visibility(bits, frames, grid, cells, ANGLES)
     axes = HemiOctahedral(cells).directions().reshape(-1, 3)
-    worst, total = torch.zeros(4), torch.zeros(4)
+    worst = torch.zeros(4)
+    total = torch.zeros(4)
     for cell, axis in enumerate(axes):
         across = torch.linalg.cross(axis, torch.tensor([0.3, 0.5, -0.8], dtype=torch.float64))
         across = across / across.norm()
@@ -237,7 +245,8 @@ def test_wavelet_sums_equal_texel_sums(small_raw: ptt.RawTransfer) -> None:
     u = ptt.TransferRelighter(model).incident(environment)
     grid = model.grid
     visible = transfer.unpack(small_raw.visible, grid.cells)
-    directions, solid = grid.directions().reshape(-1, 3).float(), grid.solid_angles().flatten().float()
+    directions = grid.directions().reshape(-1, 3).float()
+    solid = grid.solid_angles().flatten().float()
     t0 = transfer.direct_transfer(visible, small_raw.receivers.frames, directions, solid, model.brdf.u_i)
     texels = environment.project(grid).reshape(-1, 3)
     assert torch.allclose(u, torch.einsum("vit,tc->civ", t0, texels), rtol=1e-3, atol=1e-4)

@@ -143,7 +143,8 @@ def test_batches_and_gradients() -> None:
 @pytest.mark.parametrize("level", [0, 1, 3])
 @pytest.mark.parametrize("keep", [1, 17, 80])
 def test_adaptive_kernel(level: int, keep: int, built: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    n, g = 20 << 2 * level, torch.Generator().manual_seed(keep)
+    n = 20 << 2 * level
+    g = torch.Generator().manual_seed(keep)
     three = [torch.randn(130, n, generator=g) for _ in range(3)]
     kept = [haar.truncate(x, min(n, keep + k)) for k, x in enumerate(three)]
     wanted = triple.adaptive(*kept, n)

@@ -153,13 +153,17 @@ class CountedSlices:
     """Slices computed on demand, which remembers the most that were alive at a time and how many were asked for."""
 
     def __init__(self, tensor: Tensor) -> None:
-        self.tensor, self.alive, self.most, self.asked = tensor, 0, 0, 0
+        self.tensor = tensor
+        self.alive = 0
+        self.most = 0
+        self.asked = 0
 
     def __len__(self) -> int:
         return len(self.tensor)
 
     def __getitem__(self, k: int) -> Tensor:
-        self.alive, self.asked = self.alive + 1, self.asked + 1
+        self.alive = self.alive + 1
+        self.asked = self.asked + 1
         self.most = max(self.most, self.alive)
         part = self.tensor[k].clone()
         weakref.finalize(part, self.release)
@@ -246,7 +250,8 @@ def test_zero_and_constant_tensors(method: str) -> None:
 
 @every_method
 def test_refusals(method: str) -> None:
-    a, fit = random(3, 4), METHODS[method]
+    a = random(3, 4)
+    fit = METHODS[method]
     for ranks in [(4, 4), (3, 5), (0, 1), (1,), ()]:
         with pytest.raises(ValueError, match=r"ranks must be in 1..length for the axes \(3, 4\)"):
             fit(a, ranks=ranks)

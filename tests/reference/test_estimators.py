@@ -46,7 +46,8 @@ def same(materials: Material, scene: Scene) -> dict[str, Material]:
 
 
 def toward(degrees: float, turn: float = 30.0) -> Tensor:
-    a, b = math.radians(degrees), math.radians(turn)
+    a = math.radians(degrees)
+    b = math.radians(turn)
     return torch.tensor([[math.sin(a) * math.cos(b), math.cos(a), math.sin(a) * math.sin(b)]])
 
 
@@ -117,7 +118,8 @@ def test_lambert_on_a_floor_is_exact() -> None:
     = h + (z - h) 2/3. The estimate must be within four standard errors, and these below 1 %."""
     scene = scene_of(plane())
     materials = {"plane0": lambert((0.2, 0.5, 0.9))}
-    points, wo = floor_point(n=50), toward(40.0).expand(50, 3)
+    points = floor_point(n=50)
+    wo = toward(40.0).expand(50, 3)
     for environment, expected in (
         (Environment.constant((3.0, 2.0, 1.0)), [0.6, 1.0, 0.9]),
         (Environment.gradient_sky(4.0, 1.0, 50.0), [0.2 * 3, 0.5 * 3, 0.9 * 3]),
@@ -139,7 +141,9 @@ def test_lambert_on_a_floor_is_exact() -> None:
 ], ids=lambda m: repr(m.shape))  # fmt: skip
 @pytest.mark.parametrize("tilt", [0.5, 45.0, 75.0])
 def test_glossy_direct_light_is_the_integral(material: Material, tilt: float) -> None:
-    scene, environment, wo = scene_of(plane()), smooth_sky(), toward(tilt)
+    scene = scene_of(plane())
+    environment = smooth_sky()
+    wo = toward(tilt)
     estimate = radiance(scene, environment, same(material, scene), floor_point(), wo, samples=1 << 15)
     expected = quadrature(material, environment, wo)
     assert (estimate.standard_error < 0.01 * estimate.mean).all()
@@ -165,7 +169,8 @@ def test_light_reflected_by_a_ceiling(bounces: int, faces_down: bool) -> None:
     The ceiling sees nothing but the environment below, so its radiance is a; the patch sends out b (1 - F) of direct
     light and b F a after one bounce, and nothing more after further ones. A back face reflects nothing.
     """
-    albedo, a = 0.5, torch.tensor([0.8, 0.4, 0.1], dtype=torch.float64)
+    albedo = 0.5
+    a = torch.tensor([0.8, 0.4, 0.1], dtype=torch.float64)
     scene = scene_of(plane(2.0, turned(180.0 if faces_down else 0.0), (0.0, 1.0, 0.0)), plane(1e-3, shift=(0, -5, 0)))
     materials = {"plane0": lambert(a.float()), "plane1": lambert(albedo)}
     f = ceiling_form_factor(2.0, 1.0)
@@ -180,7 +185,8 @@ def test_light_reflected_by_a_ceiling(bounces: int, faces_down: bool) -> None:
 
 def test_rays_leave_where_they_hit() -> None:
     """Seen through a hit on the floor, off its middle and under that of a ceiling: albedo (1 - F), as above."""
-    floor, ceiling = plane(6.0), plane(1.0, turned(180.0), (1.2, 0.5, -0.7))
+    floor = plane(6.0)
+    ceiling = plane(1.0, turned(180.0), (1.2, 0.5, -0.7))
     scene = scene_of(floor, ceiling)
     origins = torch.tensor([[1.2, 0.1, -0.7]]).expand(16, 3)
     down = torch.tensor([[0.0, -1.0, 0.0]]).expand(16, 3)
@@ -245,7 +251,8 @@ def test_closed_box_is_black_inside() -> None:
 
 def test_how_directions_are_drawn_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     """The environment's sampler, or a uniform one; the BRDF's mixture, or the cosine alone: one result."""
-    scene, environment = ptt.default_scene(), Environment.area_light((0.4, 0.8, 0.3), 15.0, 20.0)
+    scene = ptt.default_scene()
+    environment = Environment.area_light((0.4, 0.8, 0.3), 15.0, 20.0)
     environment = replace(environment, map=environment.map + smooth_sky_like(environment))
     rows = torch.arange(0, len(scene.vertices), 40)
     points = Points(*(x[rows] for x in reference.vertex_points(scene)))
@@ -283,7 +290,8 @@ def test_standard_error_is_the_spread_of_seeds(samples: int) -> None:
 
     Points are independent, each adds a relative variance of 2 / 23: over 247 points, four sigmas are 7 %.
     """
-    scene, environment = ptt.default_scene(), smooth_sky()
+    scene = ptt.default_scene()
+    environment = smooth_sky()
     points = Points(*(x[::32] for x in reference.vertex_points(scene)))
     wo = points.frame[:, 2]
     runs = [radiance(scene, environment, scene.materials, points, wo, samples=samples, seed=seed) for seed in range(24)]
@@ -295,7 +303,8 @@ def test_standard_error_is_the_spread_of_seeds(samples: int) -> None:
 
 def test_well_spread_batches_beat_independent_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = scene_of(plane())
-    points, wo = floor_point(n=64), toward(30.0).expand(64, 3)
+    points = floor_point(n=64)
+    wo = toward(30.0).expand(64, 3)
 
     def error() -> float:
         return float(radiance(
@@ -325,7 +334,9 @@ def test_same_seed_same_bits_and_no_global_state() -> None:
 
 def test_any_number_of_threads_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     """And torch is left with as many threads as it had."""
-    scene, before, runs = ptt.default_scene(), torch.get_num_threads(), []
+    scene = ptt.default_scene()
+    before = torch.get_num_threads()
+    runs = []
     torch.set_num_threads(2)
     monkeypatch.setattr(path_tracer, "RAYS", 1000)
     for threads in (1, 3):
@@ -365,7 +376,8 @@ def test_blocks_cover_everything_once_within_their_capacity(n: int, batches: int
 
 def test_far_from_the_origin() -> None:
     """Moved by (300, 200, -100), a scene of radius 4 keeps positions to 3e-5: no vertex shadows itself."""
-    scene, shift = ptt.default_scene(), torch.tensor([300.0, 200.0, -100.0])
+    scene = ptt.default_scene()
+    shift = torch.tensor([300.0, 200.0, -100.0])
     moved = replace(scene, vertices=scene.vertices + shift)
     runs = []
     for s in (scene, moved):
@@ -444,7 +456,8 @@ def test_base_colour_multiplies_the_diffuse_part() -> None:
     texture[:, :4, 0], texture[:, 4:, 1] = 1.0, 1.0
     uv = (vertices[:, [0, 2]] + 1) / 2
     scene = Scene.from_mesh(vertices, faces, uv=uv, texture=texture)
-    light, materials = Environment.constant(), same(lambert((0.8, 0.6, 0.4)), scene)
+    light = Environment.constant()
+    materials = same(lambert((0.8, 0.6, 0.4)), scene)
     origins = torch.tensor([[-0.5, 1.0, 0.2], [0.5, 1.0, 0.2]])
     down = torch.tensor([[0.0, -1.0, 0.0]]).expand(2, 3)
     hit = along_rays(scene, light, materials, origins, down, samples=2048)
@@ -494,8 +507,11 @@ def test_extremes_are_finite(material: Material) -> None:
 
 
 def test_wrong_arguments() -> None:
-    scene, light = scene_of(plane(), plane(shift=(0, -1, 0))), Environment.constant()
-    materials, points, wo = same(lambert(0.5), scene), floor_point(), toward(10.0)
+    scene = scene_of(plane(), plane(shift=(0, -1, 0)))
+    light = Environment.constant()
+    materials = same(lambert(0.5), scene)
+    points = floor_point()
+    wo = toward(10.0)
     with pytest.raises(ValueError, match=r"every region.*plane1"):
         radiance(scene, light, {"plane0": lambert(0.5)}, points, wo)
     with pytest.raises(ValueError, match=r"bounces must be at least 0.*-1"):

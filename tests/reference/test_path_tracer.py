@@ -40,7 +40,8 @@ def smooth_sky() -> Environment:
 
 def toward(degrees: float, turn: float = 30.0) -> Tensor:
     """World direction (1, 3) at an angle to +y."""
-    a, b = math.radians(degrees), math.radians(turn)
+    a = math.radians(degrees)
+    b = math.radians(turn)
     return torch.tensor([[math.sin(a) * math.cos(b), math.cos(a), math.sin(a) * math.sin(b)]])
 
 
@@ -66,7 +67,8 @@ def agrees(estimate: Estimate, expected: Tensor) -> bool:
 @pytest.mark.parametrize("shape", SHAPES + BLENDS, ids=repr)
 @pytest.mark.parametrize(("tilt", "turn"), [(5.0, 30.0), (60.0, 200.0)])
 def test_radiance_is_the_integral(shape: ptt.materials.shapes.Shape, tilt: float, turn: float) -> None:
-    (scene, points), wo = floor(), toward(tilt, turn)
+    (scene, points) = floor()
+    wo = toward(tilt, turn)
     material = ptt.Material((0.2, 0.1, 0.3), (0.5, 0.7, 0.9), shape)
     estimate = radiance(scene, smooth_sky(), {"floor": material}, points, wo, samples=1 << 14)
     assert bool((estimate.standard_error < 0.02 * estimate.mean).all())
@@ -90,7 +92,8 @@ def test_on_a_sphere_the_lobe_follows_the_frame(shape: ptt.materials.shapes.Shap
 
 @pytest.mark.parametrize("shape", SHAPES, ids=repr)
 def test_a_constant_sky_gives_the_albedo(shape: ptt.materials.shapes.Shape) -> None:
-    (scene, points), wo = floor(), toward(45.0)
+    (scene, points) = floor()
+    wo = toward(45.0)
     material = ptt.Material((0.0, 0.1, 0.2), (1.0, 0.5, 0.25), shape)
     estimate = radiance(scene, Environment.constant(), {"floor": material}, points, wo, samples=1 << 14)
     size = float(albedo(shape.evaluate, (FLOOR @ wo[0])[None], turns=160))
@@ -98,7 +101,8 @@ def test_a_constant_sky_gives_the_albedo(shape: ptt.materials.shapes.Shape) -> N
 
 
 def test_parameters_that_require_gradients_are_traced_without_a_warning(recwarn: pytest.WarningsRecorder) -> None:
-    (scene, points), roughness = floor(), torch.tensor(0.4, requires_grad=True)
+    (scene, points) = floor()
+    roughness = torch.tensor(0.4, requires_grad=True)
     material = ptt.ggx(0.1, torch.tensor([0.5, 0.5, 0.5], requires_grad=True), 0.5, roughness)
     estimate = radiance(scene, smooth_sky(), {"floor": material}, points, toward(20.0), samples=256)
     assert not estimate.mean.requires_grad and bool((estimate.mean > 0).all())

@@ -43,9 +43,11 @@ def half_vectors(finest: float, rings: int = 500, turns: int = 256) -> tuple[Ten
     x, w = (torch.tensor(v) for v in np.polynomial.legendre.leggauss(rings))
     top = math.log1p(math.pi / 2 / finest)
     s = (x + 1) / 2 * top
-    t, dt = finest * s.expm1(), finest * s.exp() * w * top / 2
+    t = finest * s.expm1()
+    dt = finest * s.exp() * w * top / 2
     phi = (torch.arange(turns, dtype=torch.float64) + 0.5) * (2 * math.pi / turns)
-    x, y = t.sin()[:, None] * phi.cos(), t.sin()[:, None] * phi.sin()
+    x = t.sin()[:, None] * phi.cos()
+    y = t.sin()[:, None] * phi.sin()
     weights = (dt * t.sin())[:, None].expand(-1, turns) * (2 * math.pi / turns)
     return torch.stack([x, y, t.cos()[:, None].expand(-1, turns)], -1).reshape(-1, 3), weights.reshape(-1)
 
@@ -114,7 +116,8 @@ def test_samples_follow_the_density(lobe: Lobe | None, tilt: float) -> None:
     wi, weights = sphere(wo, 0.1 * (width(lobe) if lobe else 1.0))
     p = mixture.density(wi, wo.expand_as(wi)) * weights
     for moment in _moments(mirror, width(lobe) if lobe else 1.0):
-        samples, expected = moment(drawn), float((moment(wi) * p).sum())
+        samples = moment(drawn)
+        expected = float((moment(wi) * p).sum())
         error = float(samples.std()) / math.sqrt(len(u))
         assert abs(float(samples.mean()) - expected) < 4 * error + 1e-4
 

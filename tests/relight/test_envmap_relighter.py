@@ -54,13 +54,15 @@ def truth(scene: ptt.Scene, light: ptt.Environment, materials: dict[str, ptt.Mat
 def test_against_the_path_tracer(ball: ptt.Scene, material: ptt.Material, bound: float) -> None:
     rough = material.shape is not None and not material.shape.isotropic
     relighter = ptt.EnvMapRelighter(ball, ptt.LightRotation.build(64, 32), views=32 if rough else 64, twists=16)
-    got, at = relighter(SKY, {"ball": material}, ball.camera), facing(ball)
+    got = relighter(SKY, {"ball": material}, ball.camera)
+    at = facing(ball)
     assert ptt.relative_rmse(got[at], truth(ball, SKY, {"ball": material})[at]) < bound
 
 
 def test_more_is_better(ball: ptt.Scene) -> None:
     """Finer maps, and more terms, come closer on a glossy ball."""
-    materials, at = {"ball": ptt.blinn_phong(0.0, 1.0, 60.0)}, facing(ball)
+    materials = {"ball": ptt.blinn_phong(0.0, 1.0, 60.0)}
+    at = facing(ball)
     exact = truth(ball, SKY, materials)[at]
 
     def error(n: int, terms: int) -> float:
@@ -96,11 +98,13 @@ def test_constant_light_gives_the_albedo(relighter: ptt.EnvMapRelighter, ball: p
 def test_turning_everything_changes_nothing(rotation: ptt.LightRotation) -> None:
     """The light, the ball and the camera turned together by a quarter turn about z, which the map follows exactly."""
     vertices, faces = mesh.sphere_mesh(2)
-    material, eye = {"mesh": ptt.blinn_phong(0.2, 0.5, 20.0)}, torch.tensor([3.0, 1.0, 2.0])
+    material = {"mesh": ptt.blinn_phong(0.2, 0.5, 20.0)}
+    eye = torch.tensor([3.0, 1.0, 2.0])
     quarter = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     still = ptt.EnvMapRelighter(ptt.Scene.from_mesh(vertices, faces), rotation, views=64)
     turned = ptt.EnvMapRelighter(ptt.Scene.from_mesh(vertices @ quarter.T, faces), rotation, views=64)
-    a, b = still(SKY, material, eye), turned(SKY.rotated(z=90), material, quarter @ eye)
+    a = still(SKY, material, eye)
+    b = turned(SKY.rotated(z=90), material, quarter @ eye)
     assert ptt.relative_rmse(b, a) < 0.01
 
 
@@ -126,7 +130,8 @@ def test_caches_follow_every_input(
     relighter: ptt.EnvMapRelighter, ball: ptt.Scene, rotation: ptt.LightRotation
 ) -> None:
     """Whatever changes, the answer is that of a relighter that has seen nothing before."""
-    red, camera = ptt.blinn_phong((0.9, 0, 0), 0.2, 9.0), ball.camera
+    red = ptt.blinn_phong((0.9, 0, 0), 0.2, 9.0)
+    camera = ball.camera
     sky = ptt.Environment(SKY.map.clone())
     exponent = torch.tensor(15.0)
     calls = [
@@ -207,7 +212,8 @@ def test_ambient_occlusion(small_scene: ptt.Scene, ball: ptt.Scene) -> None:
 
 
 def test_unshadowed_is_radiance_where_nothing_hides(ball: ptt.Scene) -> None:
-    points, wo = reference.vertex_points(ball), ball.camera.toward(ball.points)
+    points = reference.vertex_points(ball)
+    wo = ball.camera.toward(ball.points)
     args = SKY, ball.materials, points, wo
     a, b = (f(ball, *args, samples=64) for f in (reference.radiance, reference.unshadowed))
     torch.testing.assert_close(a.mean, b.mean, rtol=1e-3, atol=1e-4)

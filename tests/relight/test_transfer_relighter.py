@@ -45,7 +45,8 @@ def test_equation_3_written_out(relighter: ptt.TransferRelighter, small_scene: p
     radiance = relighter(SKY, materials, small_scene.camera)
     u = relighter.incident(SKY).double()
     wo = torch.einsum("vij,vj->vi", model.frames, small_scene.camera.toward(model.positions))
-    v_factors, core = model.brdf.outgoing(wo).double(), model.brdf.matrix(ptt.BlinnPhong(9.0)).double()
+    v_factors = model.brdf.outgoing(wo).double()
+    core = model.brdf.matrix(ptt.BlinnPhong(9.0)).double()
     for v in range(0, len(model.positions), 37):
         material = materials["floor" if v < model.receivers.counts[0] else "ball"]
         for c in range(3):
@@ -74,8 +75,10 @@ def test_caches_save_work_and_never_go_stale(relighter: ptt.TransferRelighter, s
         fresh = ptt.TransferRelighter(relighter.model)
         assert torch.equal(relighter(environment, materials, view), fresh(environment, materials, view))
 
-    ball, other = small_scene.materials["ball"], ptt.blinn_phong(0.2, 0.1, 3.0)
-    light, eye = ptt.Environment(SKY.map.clone()), torch.tensor([1.0, 2.0, 3.0])
+    ball = small_scene.materials["ball"]
+    other = ptt.blinn_phong(0.2, 0.1, 3.0)
+    light = ptt.Environment(SKY.map.clone())
+    eye = torch.tensor([1.0, 2.0, 3.0])
     check(light, {"ball": ball}, eye)
     first = relighter.incident(light)
     check(light, {"ball": other}, eye)
@@ -170,7 +173,8 @@ def test_refusals(relighter: ptt.TransferRelighter, small_scene: ptt.Scene) -> N
 
 
 def test_cache_keeps_nothing_that_carries_a_graph() -> None:
-    cache, calls = Cache(), []
+    cache = Cache()
+    calls = []
 
     def compute() -> Tensor:
         calls.append(1)

@@ -37,7 +37,8 @@ def facing(scene: ptt.Scene) -> Tensor:
 def test_against_the_path_tracer(small_scene: ptt.Scene, material: ptt.Material) -> None:
     """With shadows, at the vertices that face the camera."""
     relighter = ptt.TripleProductRelighter(small_scene, 3, normals=16, twists=16, source=32, views=64)
-    given, at = {region.name: material for region in small_scene.regions}, facing(small_scene)
+    given = {region.name: material for region in small_scene.regions}
+    at = facing(small_scene)
     got = relighter(SKY, given, small_scene.camera)[at]
     points = reference.Points(*(x[at] for x in reference.vertex_points(small_scene)))
     wo = small_scene.camera.toward(points.position)
@@ -79,7 +80,9 @@ def test_pixels_have_shadows_of_their_own(small_scene: ptt.Scene, relighter: ptt
 
 
 def test_caches_follow_every_input(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) -> None:
-    sky, camera, exponent = ptt.Environment(SKY.map.clone()), small_scene.camera, torch.tensor(9.0)
+    sky = ptt.Environment(SKY.map.clone())
+    camera = small_scene.camera
+    exponent = torch.tensor(9.0)
     calls = [
         (sky, {}, camera),
         (sky.rotated(y=40), {}, camera),
@@ -110,7 +113,8 @@ def test_linear_and_finite(small_scene: ptt.Scene, relighter: ptt.TripleProductR
 def test_gradients(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) -> None:
     """Of a sum, which is linear in the map and in the weights: gradient times value is the value."""
     sky = torch.rand(16, 32, 3, requires_grad=True)
-    diffuse, specular = torch.full((3,), 0.3, requires_grad=True), torch.full((3,), 0.4, requires_grad=True)
+    diffuse = torch.full((3,), 0.3, requires_grad=True)
+    specular = torch.full((3,), 0.4, requires_grad=True)
     material = ptt.Material(diffuse, specular, ptt.BlinnPhong(15.0))
     given = {region.name: material for region in small_scene.regions}
     radiance = relighter(ptt.Environment(sky), given, small_scene.camera)
@@ -148,7 +152,8 @@ def test_refuses(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) 
 
 def test_two_materials_on_a_region_are_mixed(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) -> None:
     """Linear in the share, which is interpolated; a share of 0 or 1 is one material alone."""
-    first, second = ptt.blinn_phong((0.1, 0.5, 0.2), 0.3, 30.0), ptt.ggx(0.4, 0.2, 0.3, 0.4)
+    first = ptt.blinn_phong((0.1, 0.5, 0.2), 0.3, 30.0)
+    second = ptt.ggx(0.4, 0.2, 0.3, 0.4)
     pixels = ptt.GBuffer.of(small_scene, small_scene.camera)
     share = torch.rand(len(small_scene.vertices), generator=torch.Generator().manual_seed(0))
     share[:50] = torch.arange(50) % 2
@@ -160,7 +165,8 @@ def test_two_materials_on_a_region_are_mixed(small_scene: ptt.Scene, relighter: 
 
 
 def test_a_mixed_region_refuses(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) -> None:
-    a, b = ptt.lambert(0.2), ptt.lambert(0.4)
+    a = ptt.lambert(0.2)
+    b = ptt.lambert(0.4)
     for share, message in ((torch.rand(4, 4), "needs a scene with uv"), (torch.rand(7), "must have .* values")):
         with pytest.raises(ValueError, match=message):
             relighter(SKY, {"ball": ptt.Mixed(a, b, share)}, small_scene.camera)
@@ -189,7 +195,8 @@ def test_storage(small_scene: ptt.Scene, storage: str, error: float) -> None:
         )
         return relighter(SKY, {"ball": ptt.blinn_phong(0.2, 0.5, 20.0)}, small_scene.camera)
 
-    exact, rough = relit("float"), relit(storage)
+    exact = relit("float")
+    rough = relit(storage)
     assert 0 < ptt.relative_rmse(rough, exact) < error
 
 

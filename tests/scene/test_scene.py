@@ -269,7 +269,8 @@ def test_bad_files_are_refused(tmp_path: Path) -> None:
 
 
 def _ply(path: Path, vertices: str, faces: str) -> Path:
-    v, f = vertices.splitlines(), faces.splitlines()
+    v = vertices.splitlines()
+    f = faces.splitlines()
     header = f"ply\nformat ascii 1.0\nelement vertex {len(v)}\n"
     header += "".join(f"property float {axis}\n" for axis in "xyz")
     header += f"element face {len(f)}\nproperty list uchar int vertex_indices\nend_header\n"
@@ -414,7 +415,8 @@ def test_engine_has_its_parts_and_instances(data_dir: Path) -> None:
         scene = ptt.load_scene(data_dir / "meshes" / "2CylinderEngine.glb")
     sound(scene)
     assert len(scene.regions) == 34 and len(scene.faces) + 11160 == 121496
-    low, high = scene.vertices.amin(0), scene.vertices.amax(0)
+    low = scene.vertices.amin(0)
+    high = scene.vertices.amax(0)
     torch.testing.assert_close(low, torch.tensor([-371.692, -180.972, -140.0]), atol=1e-2, rtol=0)
     torch.testing.assert_close(high, torch.tensor([371.692, 92.0416, 128.0]), atol=1e-2, rtol=0)
     orange = scene.materials["body_24"].diffuse
@@ -550,7 +552,8 @@ def test_bad_scene_files_are_refused(tmp_path: Path, message: str, text: str) ->
 def test_files_are_found_beside_the_scene_file_then_in_ptt_data(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    here, there = tmp_path / "here", tmp_path / "there"
+    here = tmp_path / "here"
+    there = tmp_path / "there"
     for folder, size in ((here, 1.0), (there, 2.0)):
         folder.mkdir()
         v, f = mesh.plane_mesh(size, 1)

@@ -42,7 +42,8 @@ def raw() -> ptt.RawTransfer:
 
     The sheet lies under the floor and faces down: only its own points could see it, and they look away. 190 points.
     """
-    floor, wall = mesh.plane_mesh(2.0, 6), mesh.plane_mesh(1.6, 5)
+    floor = mesh.plane_mesh(2.0, 6)
+    wall = mesh.plane_mesh(1.6, 5)
     ball, faces = mesh.sphere_mesh(1, 0.4)
     upright = torch.stack((wall[0][:, 0], 0.7 - wall[0][:, 2], torch.full_like(wall[0][:, 0], -0.8)), 1)
     sheet, down = mesh.plane_mesh(2.0, 3)
@@ -59,7 +60,8 @@ def raw() -> ptt.RawTransfer:
 def coarse_t0(raw: ptt.RawTransfer, brdf: ptt.TensorBRDF) -> Tensor:
     """T0 (v, 1 + i, l) in the coarse Haar basis."""
     grid = Cube(N)
-    directions, solid = grid.directions().reshape(-1, 3).float(), grid.solid_angles().flatten().float()
+    directions = grid.directions().reshape(-1, 3).float()
+    solid = grid.solid_angles().flatten().float()
     visible = transfer.unpack(raw.visible, grid.cells)
     t0 = transfer.direct_transfer(visible, raw.receivers.frames, directions, solid, brdf.u_i)
     return haar.analyse(t0.unflatten(2, grid.shape))[..., :COARSE, :COARSE].flatten(2)
@@ -137,7 +139,8 @@ class Oracle(NamedTuple):
         """(k, l): of each Haar function's values on a map of 32, weighted by the lobe about the cell's centre."""
         cell = int(Cube(16).cell(world))
         if cell not in self.means:
-            axis, grid = Cube(16).directions().reshape(-1, 3)[cell], Cube(32)
+            axis = Cube(16).directions().reshape(-1, 3)[cell]
+            grid = Cube(32)
             angle = torch.acos((grid.directions().reshape(-1, 3) @ axis).clamp(-1, 1))
             rows = []
             for a in self.brdf.angles:  # the lobe of 0 degrees is below the map's resolution
@@ -148,7 +151,8 @@ class Oracle(NamedTuple):
 
     def axes(self, wo: Tensor) -> Tensor:
         """Of lobes (k, 3): in the plane of wo and the normal, between the tilts of the table."""
-        sine, tilts = float(wo[:2].norm()), self.brdf.axes.shape[2]
+        sine = float(wo[:2].norm())
+        tilts = self.brdf.axes.shape[2]
         at = min(max(math.atan2(sine, float(wo[2])) * 2 * tilts / math.pi - 0.5, 0.0), tilts - 1.0)
         low = min(int(at), tilts - 2)
         along, up = self.brdf.axes[..., low] * (1 - at + low) + self.brdf.axes[..., low + 1] * (at - low)
@@ -157,10 +161,12 @@ class Oracle(NamedTuple):
 
     def reflected_direct(self, slot: Slot, y: int, wo: Tensor) -> Tensor:
         """O_q (l,)."""
-        t0, frame = self.made.t0[y].double(), self.made.raw.receivers.frames[y].double()
+        t0 = self.made.t0[y].double()
+        frame = self.made.raw.receivers.frames[y].double()
         if slot.function == 0:
             return self.albedo(slot, y) / math.pi * t0[0]
-        axes, out = self.axes(wo), torch.zeros_like(t0[0])
+        axes = self.axes(wo)
+        out = torch.zeros_like(t0[0])
         cut = self.made.cuts[y, HemiOctahedral(CUTS).cell(axes), torch.arange(len(axes))].double() / 255
         mean = torch.stack([self.mean_light(axis @ frame)[k] for k, axis in enumerate(axes)])
         u_o = self.brdf.outgoing(wo[None])[:, 0]
@@ -172,7 +178,8 @@ class Oracle(NamedTuple):
 
     def reflected_harmonics(self, slot: Slot, y: int, wo: Tensor) -> Tensor:
         """d_q (s,): integrals of Z_s(wi) f_q(wi, wo) cos(wi); a lobe leaves `lobes.zonal` of what it is centred on."""
-        change, out = harmonics.hemispherical(ORDER), torch.zeros(ORDER**2, dtype=torch.float64)
+        change = harmonics.hemispherical(ORDER)
+        out = torch.zeros(ORDER**2, dtype=torch.float64)
         if slot.function == 0:
             out[0] = self.albedo(slot, y) / math.pi * math.sqrt(math.pi)
             return out
@@ -230,7 +237,8 @@ class Oracle(NamedTuple):
 
 def seeing_points(raw: ptt.RawTransfer) -> Tensor:
     """A few points of every region: those that see most, and those that see most vertices from below their horizon."""
-    receivers, rows = raw.receivers, set[int]()
+    receivers = raw.receivers
+    rows = set[int]()
     directions = transfer.gather_directions(raw.hits.shape[1]).float() @ receivers.frames  # shape: (v, n, 3)
     facing = -(receivers.frames[raw.hits.clamp(min=0).long(), 2] * directions).sum(2)
     above = ((raw.hits >= 0) & (facing > 0)).sum(1)
@@ -248,7 +256,8 @@ def test_one_bounce_against_the_dense_oracle(
 ) -> None:
     """The float32 code differs from float64 by 1e-5 of the largest number."""
     made = paths(raw, models)
-    oracle, rows = Oracle.of(made, models), seeing_points(raw)
+    oracle = Oracle.of(made, models)
+    rows = seeing_points(raw)
     assert len(rows) >= 4 and {slot.function for slot in made.slots} == {OWN, 0, 1, 2, 3}
     expected = torch.stack([oracle.one(int(v)) for v in rows])
     found = made.one(rows)
@@ -262,7 +271,9 @@ def test_two_bounces_against_the_dense_oracle(
 ) -> None:
     """From a random T1, so that every number counts; also where T1 comes in half precision."""
     made = paths(raw, models)
-    oracle, rows, q = Oracle.of(made, models), seeing_points(raw), len(made.slots)
+    oracle = Oracle.of(made, models)
+    rows = seeing_points(raw)
+    q = len(made.slots)
     t1 = torch.randn(len(raw.receivers), q, ORDER**2, 3, generator=torch.Generator().manual_seed(0)).half()
     expected = torch.stack([oracle.two(int(v), t1.double()) for v in rows])
     for some in (t1, t1.float()):
@@ -273,7 +284,8 @@ def test_two_bounces_against_the_dense_oracle(
 
 def test_blocks_do_not_matter(raw: ptt.RawTransfer, models: tuple[ptt.TensorBRDF, ptt.BRDFBasis]) -> None:
     """Points with few hits are padded to the most of the block."""
-    made, rows = paths(raw, models, some_lights()), torch.arange(0, len(raw.receivers), 5)
+    made = paths(raw, models, some_lights())
+    rows = torch.arange(0, len(raw.receivers), 5)
     whole = made.one(rows)
     parts = torch.cat([made.one(some) for some in rows.split(3)])
     assert_close(parts, whole, 1e-6)
@@ -285,8 +297,10 @@ def test_a_region_that_nobody_sees_sends_nothing(
     raw: ptt.RawTransfer, models: tuple[ptt.TensorBRDF, ptt.BRDFBasis]
 ) -> None:
     """The sheet's slots, as the first and as the last reflection; and the sheet, which sees nothing, gets nothing."""
-    made, every = paths(raw, models, some_lights()), torch.arange(len(raw.receivers))
-    unseen, first = slots_in(made, 3), raw.receivers.spans[3][0]
+    made = paths(raw, models, some_lights())
+    every = torch.arange(len(raw.receivers))
+    unseen = slots_in(made, 3)
+    first = raw.receivers.spans[3][0]
     t1 = made.one(every)
     assert len(unseen) == 4 and not t1[:, unseen].any() and not t1[first:].any()
     t2 = made.two(every, t1.transpose(1, 2).contiguous())
@@ -300,7 +314,8 @@ def test_channels_are_grey_regions_of_their_own(
     """Transfer is linear in the base colour: the wall's slot of each channel is that of a grey wall as bright as the
     channel, their sum that of the sum, and with one colour everywhere each is the white one times its channel."""
     first, end = raw.receivers.spans[2]
-    rows, colours = torch.arange(0, first, 7), raw.receivers.colours[first:end]
+    rows = torch.arange(0, first, 7)
+    colours = raw.receivers.colours[first:end]
     lights = some_lights()
     made = paths(raw, models, lights)
     at = slots_in(made, 2)[:3]
@@ -328,20 +343,23 @@ def test_a_fixed_region_reflects_as_an_editable_one_with_its_material(
 
     The exponent 10 lies between samples, where both are linear. Mixtures of large parts that cancel cost 1e-4.
     """
-    fixed, basis = paths(raw, models), models[1]
+    fixed = paths(raw, models)
+    basis = models[1]
     editable = (True, *raw.receivers.editable[1:])
     free = paths(replace(raw, receivers=replace(raw.receivers, editable=editable)), models)
     assert [slot.function for slot in fixed.slots if slot.region == 0] == [0, OWN]
     assert [slot.function for slot in free.slots if slot.region == 0] == [0, 1, 2, 3]
     rows = torch.arange(raw.receivers.spans[1][0], len(raw.receivers), 5)
-    own, others = fixed.one(rows)[:, :2], free.one(rows)[:, :4]
+    own = fixed.one(rows)[:, :2]
+    others = free.one(rows)[:, :4]
     assert_close(others[:, 0], own[:, 0], 1e-6)
     assert_close(torch.einsum("p,vpsl->vsl", basis.of_shape(SHAPE), others[:, 1:]), own[:, 1], 5e-4)
 
 
 def test_reduced_lighting_commutes(raw: ptt.RawTransfer, models: tuple[ptt.TensorBRDF, ptt.BRDFBasis]) -> None:
     """T1 is linear in the lighting, so combinations of columns may be taken before or after."""
-    made, rows = paths(raw, models), torch.arange(0, len(raw.receivers), 11)
+    made = paths(raw, models)
+    rows = torch.arange(0, len(raw.receivers), 11)
     matrix = some_lights(7)
     expected = made.one(rows) @ matrix
     made.reduced(matrix)
@@ -370,7 +388,8 @@ def irradiance(
     every = torch.arange(len(raw.receivers))
     t1 = made.one(every)
     t2 = made.two(every, t1.transpose(1, 2).contiguous())
-    one, two = torch.einsum("vqc,qc->vc", t1[:, :, 0], h), torch.einsum("vpqc,pc,qc->vc", t2, h, h)
+    one = torch.einsum("vqc,qc->vc", t1[:, :, 0], h)
+    two = torch.einsum("vpqc,pc,qc->vc", t2, h, h)
     return made.t0[:, 0] / math.pi, one / math.sqrt(math.pi), two / math.sqrt(math.pi)
 
 

@@ -68,7 +68,8 @@ def ramp(size: int = 64) -> ptt.Environment:
     polar = (torch.arange(size).double() + 0.5) * (math.pi / size)
     around = torch.arange(2 * size).double() * (math.pi / size)
     turned = torch.stack([c + 0 * around for c in (around.cos(), around.sin())])
-    up, side = polar.cos()[:, None].expand(-1, 2 * size), polar.sin()[:, None] * turned[0]
+    up = polar.cos()[:, None].expand(-1, 2 * size)
+    side = polar.sin()[:, None] * turned[0]
     values = torch.stack((1 + 0.5 * up, 1 - 0.3 * up + 0.4 * side, 1 + 0.6 * side), -1)
     return ptt.Environment(values.float()).rotated(x=20, y=50)
 
@@ -80,14 +81,19 @@ def written_out(
     model: ptt.TransferModel, environment: ptt.Environment, materials: Mapping[str, ptt.Material], v: int
 ) -> Tensor:
     """Radiance (3,) of one point towards EYE by the equations of `ops.relight`, in float64, from its own T0, T1, T2."""
-    own, brdf, basis = model.receivers, model.brdf, model.basis
+    own = model.receivers
+    brdf = model.brdf
+    basis = model.basis
     assert basis is not None
     r = next(k for k, (first, end) in enumerate(own.spans) if first <= v < end)
     region: Any = model.regions[r]
     material = materials[own.names[r]]
     block, lane = divmod(int(region.place[v - own.spans[r][0]]), region.weights.shape[2])
-    k, weights = int(region.cluster[block]), region.weights[block, :, lane].double()
-    e, q, pairs = len(weights), len(region.slots), torch.tensor(region.pairs, dtype=torch.int64).reshape(-1, 2)
+    k = int(region.cluster[block])
+    weights = region.weights[block, :, lane].double()
+    e = len(weights)
+    q = len(region.slots)
+    pairs = torch.tensor(region.pairs, dtype=torch.int64).reshape(-1, 2)
 
     light = haar.analyse(environment.project(model.grid).double().movedim(-1, 0))
     coarse, coarsest = (light[..., :n, :n].flatten(1).T for n in (8, 2))
@@ -110,10 +116,12 @@ def written_out(
         return out
     specular = brdf.outgoing(wo[None].float())[:, 0].double() @ brdf.matrix(material.shape).double() @ incident[1:]
     if brdf.angles:
-        axes, n = lobes.lean(brdf.axes.double(), wo), CUTS
+        axes = lobes.lean(brdf.axes.double(), wo)
+        n = CUTS
         rho = lobes.lookup(brdf.lobe_tables(material.shape).double(), wo)
         cuts = region.cuts[int(region.place[v - own.spans[r][0]])].view(torch.uint8).reshape(n * n, -1)
-        through, blurred = [], []
+        through = []
+        blurred = []
         for k, (angle, axis) in enumerate(zip(brdf.angles, axes, strict=True)):
             cell, share = octahedral.corners(octahedral.hemi_octahedral(axis), n, wrap=False)
             through.append(share @ cuts[octahedral.tiles(n)[cell], k].double() / 255)
@@ -158,7 +166,8 @@ def test_as_many_eigenvectors_as_points_are_exact(tiny: ptt.RawTransfer, monkeyp
     lighting = haar.analyse(SKY.project(Cube(16)).movedim(-1, 0))
     monkeypatch.setattr(cluster_steps, "PLAIN", cluster_steps.PLAIN._replace(lighting=lambda *_: lighting))
     space = ptt.BRDFSpace.blinn_phong((2.0, 8.0, 32.0))
-    brdf, basis = ptt.TensorBRDF.fit(space, ranks=(3, 4, 4), separated=0), ptt.BRDFBasis.fit(space, 1)
+    brdf = ptt.TensorBRDF.fit(space, ranks=(3, 4, 4), separated=0)
+    basis = ptt.BRDFBasis.fit(space, 1)
     direct = tiny.part(slice(None))
     whole = ptt.Clusters(10_000, max(tiny.receivers.counts), columns=6 * 16**2, storage=torch.float32)
     for coefficients in (64, None):
@@ -178,7 +187,8 @@ def test_clusters_of_an_assembly_are_those_of_compress(
     assembled: Transfer, tiny: ptt.RawTransfer, glossy: Functions
 ) -> None:
     clusters = ptt.Clusters(30, 8, 32, 128)
-    once, twice = ptt.compress(tiny, 64, *glossy, clusters), ptt.cluster(assembled, clusters)
+    once = ptt.compress(tiny, 64, *glossy, clusters)
+    twice = ptt.cluster(assembled, clusters)
     assert twice.bounces == tiny.bounces and once.truncation_error == twice.truncation_error
     for (name, a), (other, b) in zip(once.named_buffers(), twice.named_buffers(), strict=True):
         assert name == other and torch.equal(a, b), name
@@ -220,7 +230,8 @@ def test_as_many_bytes_as_are_given(share: float, assembled: Transfer) -> None:
         model = ptt.cluster(assembled, ptt.Clusters(eigenvectors=6, lighting=16, columns=64, **clusters))
         return sum(getattr(region, name).nbytes for region in model.clustered for name in stored)
 
-    most, least = bytes_of(points=4), bytes_of(points=1000)
+    most = bytes_of(points=4)
+    least = bytes_of(points=1000)
     limit = least + share * (most - least)
     assert 0.6 * limit < bytes_of(bytes=limit) <= limit
     assert bytes_of(bytes=least) == least
@@ -239,7 +250,8 @@ def test_a_larger_error_needs_fewer_eigenvectors(assembled: Transfer) -> None:
             labels = region.cluster[region.place // region.weights.shape[2]]
             left = 0.0
             for k in labels.unique():
-                own, w = x[labels == k], weights[labels == k]
+                own = x[labels == k]
+                w = weights[labels == k]
                 left += float((own - w @ torch.linalg.pinv(w) @ own).square().sum())
             assert math.sqrt(left / float(x.square().sum())) < error * 1.001
         count[error] = [region.eigenvectors for region in model.clustered]
@@ -250,7 +262,8 @@ def test_a_larger_error_needs_fewer_eigenvectors(assembled: Transfer) -> None:
 
 def test_light_that_arrives_after_two_reflections_alone(assembled: Transfer) -> None:
     """Points that see nothing that is lit, and beyond it something that is: pairs without slots."""
-    none, indirect = torch.zeros_like(assembled.indirect.one), assembled.indirect
+    none = torch.zeros_like(assembled.indirect.one)
+    indirect = assembled.indirect
     once, twice, dark = (
         ptt.cluster(replace(assembled, indirect=part), ptt.Clusters(30, 8, 32, 128))
         for part in (indirect, indirect._replace(one=none), indirect._replace(one=none, two=0 * indirect.two))
@@ -323,9 +336,11 @@ def test_caches_never_go_stale(relighter: ptt.TransferRelighter, small_scene: pt
         fresh = ptt.TransferRelighter(relighter.model)
         assert torch.equal(relighter(environment, materials, view), fresh(environment, materials, view))
 
-    ball, other = small_scene.materials["ball"], ptt.blinn_phong(0.2, 0.1, 3.0)
+    ball = small_scene.materials["ball"]
+    other = ptt.blinn_phong(0.2, 0.1, 3.0)
     texels = torch.rand(16, 32, 3, generator=torch.Generator().manual_seed(0))
-    light, eye = ptt.Environment(texels), EYE.clone()
+    light = ptt.Environment(texels)
+    eye = EYE.clone()
     check(light, {"ball": ball}, eye)
     first = relighter.incident(light)
     check(light, {"ball": other}, eye)
@@ -533,7 +548,8 @@ def test_against_the_path_tracer(
 
     What bounces add is interpolated between vertices 0.3 apart, over a shadow 1 wide: under the ball a fourth too much.
     """
-    camera, counts = small_scene.camera, small_bounced.receivers.counts
+    camera = small_scene.camera
+    counts = small_bounced.receivers.counts
     assert camera is not None
     truth = [
         ptt.reference.at_vertices(small_scene, SKY, small_scene.materials, camera, bounces=b, samples=1024).mean

@@ -21,7 +21,8 @@ def of_frames(frames: Tensor, sampled: Tensor, twists: int, between: bool = Fals
     kernels = library() if len(frames) >= FEWEST and ready(frames, sampled) else None
     if kernels is None:
         return plain.of_frames(frames, sampled, twists, between)
-    out, (frames, sampled) = _empty(len(frames), 4 + 4 * between), (frames.contiguous(), sampled.contiguous())
+    out = _empty(len(frames), 4 + 4 * between)
+    (frames, sampled) = (frames.contiguous(), sampled.contiguous())
     sizes = map(c_int64, (len(frames), math.isqrt(len(sampled)), twists))
     last = c_int(between), c_int(torch.get_num_threads())
     kernels.ptt_near_frames(*map(address, (frames, sampled, *out)), *sizes, *last)
@@ -33,7 +34,10 @@ def of_views(frames: Tensor, positions: Tensor, eye: Tensor, views: int) -> Near
     kernels = library() if len(frames) >= FEWEST and ready(frames, positions, eye) else None
     if kernels is None:
         return plain.of_views(frames, positions, eye, views)
-    out, frames, positions, eye = _empty(len(frames)), frames.contiguous(), positions.contiguous(), eye.contiguous()
+    out = _empty(len(frames))
+    frames = frames.contiguous()
+    positions = positions.contiguous()
+    eye = eye.contiguous()
     sizes = c_int64(len(frames)), c_int64(views), c_int(torch.get_num_threads())
     tensors = frames, positions if eye.ndim == 1 else None, eye, *out
     kernels.ptt_near_views(*map(address, tensors), *sizes)
@@ -47,7 +51,8 @@ def of_texels(corner_uv: Tensor, triangle: Tensor, barycentric: Tensor, rows: Te
     kernels = library() if fits else None
     if kernels is None:
         return plain.of_texels(corner_uv, triangle, barycentric, rows)
-    out, given = _empty(len(triangle)), [x.contiguous() for x in (corner_uv, triangle, barycentric, rows)]
+    out = _empty(len(triangle))
+    given = [x.contiguous() for x in (corner_uv, triangle, barycentric, rows)]
     sizes = c_int64(len(triangle)), c_int64(math.isqrt(len(rows))), c_int(torch.get_num_threads())
     kernels.ptt_near_texels(*map(address, (*given, *out)), *sizes)
     return out

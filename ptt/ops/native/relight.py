@@ -24,8 +24,10 @@ from ptt.ops.view import Gloss, Seen
 
 STORED = (torch.float32, torch.float16, torch.bfloat16)
 INDEX = (torch.int64,)
-WIDTH, GROUP = 64, 16  # multiples of what `expand`, and the others, take at a time
-HARMONICS, PAD = 16, 16  # of order 4; of the tables of `eigen`
+WIDTH = 64
+GROUP = 16  # multiples of what `expand`, and the others, take at a time
+HARMONICS = 16
+PAD = 16  # of order 4; of the tables of `eigen`
 LOBES = 4
 
 POINTERS = (
@@ -55,7 +57,8 @@ class _View(ctypes.Structure):
 def lighting(fine: Tensor, turn: Tensor, directions: Tensor, shares: Tensor, shape: Sequence[int]) -> Tensor:
     """L (3, *shape), as `ptt.ops.relight.lighting`."""
     *squares, n, _ = shape
-    count, cells = math.prod(squares), math.prod(shape)
+    count = math.prod(squares)
+    cells = math.prod(shape)
     fits = ready(fine, turn, directions, shares) and fine.shape[1] == 4 and square(len(fine)) and cells % GROUP == 0
     fits = fits and turn.shape == (3, 3) and directions.shape == (4, 3, cells) and shares.shape == (4, cells)
     kernels = library() if fits else None
@@ -81,7 +84,8 @@ def light_eigen(transfer: Tensor, lighting: Tensor, columns: Tensor | None = Non
         return relight.light_eigen(transfer, lighting, columns)
     lighting, out = lighting.contiguous(), lighting.new_empty(k, 3, x)
     columns = None if columns is None else columns.contiguous()
-    cluster, channel = (0 if lighting.ndim == 2 else 3 * rows), lighting.shape[-1]
+    cluster = 0 if lighting.ndim == 2 else 3 * rows
+    channel = lighting.shape[-1]
     sizes = [c_int64(size) for size in (cluster, channel, rows, x, k)]
     tensors = [address(t) for t in (lighting, columns, transfer, out)]
     numbers = c_int(STORED.index(transfer.dtype)), c_int(torch.get_num_threads())
@@ -91,7 +95,9 @@ def light_eigen(transfer: Tensor, lighting: Tensor, columns: Tensor | None = Non
 
 def eigen(arriving: Arriving, h: Tensor, pairs: Tensor, coupling: Tensor, responses: Responses, glossy: bool) -> Tensor:
     """Q and I (k, c, e, 1 + o + s), as `ptt.ops.relight.eigen`."""
-    (k, c, e, i), q, p = arriving.direct.shape, arriving.one.shape[2], arriving.two.shape[2]
+    (k, c, e, i) = arriving.direct.shape
+    q = arriving.one.shape[2]
+    p = arriving.two.shape[2]
     to_factors, to_harmonics = responses
     fits = ready(*arriving, h, pairs, coupling, *responses) and c == 3 and h.shape == (3, q) and pairs.shape == (3, p)
     fits = fits and arriving.one.shape == (k, 3, q, e, HARMONICS) and arriving.two.shape == (k, 3, p, e)
@@ -115,13 +121,15 @@ def eigen(arriving: Arriving, h: Tensor, pairs: Tensor, coupling: Tensor, respon
 
 def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Sent:
     """Values, as `ptt.ops.relight.expand`, in float16, scaled so that none overflows, and in smaller blocks."""
-    (_, c, e, x), (b, _, w) = eigen.shape, weights.shape
+    (_, c, e, x) = eigen.shape
+    (b, _, w) = weights.shape
     fits = ready(eigen, weights) and weights.is_contiguous() and ready(cluster, types=INDEX)
     fits = fits and w % WIDTH == 0 and weights.shape[1] == e and cluster.shape == (b,)
     kernels = library() if fits else None
     if kernels is None:
         return relight.expand(eigen, weights, cluster)
-    eigen, cluster = eigen.contiguous(), cluster.contiguous()
+    eigen = eigen.contiguous()
+    cluster = cluster.contiguous()
     groups = b * w // GROUP
     sent = Sent(torch.empty(groups, c, x, GROUP, dtype=torch.float16), torch.empty(groups))
     sizes = [c_int64(size) for size in (b, c, e, x, w)]
@@ -135,7 +143,8 @@ def view(regions: Sequence[Seen], outgoing: Tensor) -> Tensor:
     kernels = library() if all(_fits(region, outgoing) for region in regions) else None
     if kernels is None:
         return plain.view(regions, outgoing)
-    outgoing, sizes = outgoing.contiguous(), [len(region.points.place) for region in regions]
+    outgoing = outgoing.contiguous()
+    sizes = [len(region.points.place) for region in regions]
     line = outgoing.new_empty(max(region.points.position.shape[1] for region in regions), 3)
     out = outgoing.new_empty(sum(sizes), 3)
     for region, rows in zip(regions, out.split(sizes), strict=True):
@@ -173,7 +182,8 @@ def _fits(region: Seen, outgoing: Tensor) -> bool:
     if values.ndim != 4 or values.shape[1] != 3 or values.shape[3] % GROUP:
         return False
     b, _, rows, width = values.shape
-    n, o = b * width, 1 + outgoing.shape[1]
+    n = b * width
+    o = 1 + outgoing.shape[1]
     shapes = points.position.shape == (3, n) and points.frame.shape == (3, 3, n) and eye.shape in ((3,), (3, n))
     shapes = shapes and all(t.shape == (3, n) for t in colour) and unit.shape == (b,)
     shapes = shapes and square(len(outgoing)) and rows >= o
@@ -186,7 +196,8 @@ def _fits_gloss(gloss: Gloss, cuts: Tensor, n: int, harmonics: int) -> bool:
         return False
     if not ready(cuts, types=(torch.int32,)) or not cuts.is_contiguous():
         return False
-    k, tilts = len(which), len(axes)
+    k = len(which)
+    tilts = len(axes)
     shapes = 0 < k <= LOBES and rho.shape == (tilts, k) and axes.shape == (tilts, 2 * k) and specular.shape == (3,)
     shapes = shapes and turn.shape == (3, 3) and maps.shape[::2] == (k, 4)
     shapes = shapes and maps.shape[1] > 1 and square(maps.shape[1]) and len(blurs) == k

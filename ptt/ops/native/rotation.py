@@ -56,7 +56,8 @@ def local_light(coefficients: Tensor, s: Resampling, m: int) -> Tensor:
     if kernels is None:
         return rotation.local_light(coefficients, s, m)
     frames = (len(s.starts) - 1) // m**2
-    source, out = _four(haar.synthesise(coefficients)), coefficients.new_empty(frames, m * m, CHANNELS)
+    source = _four(haar.synthesise(coefficients))
+    out = coefficients.new_empty(frames, m * m, CHANNELS)
     tensors = map(address, (source, s.starts, s.reads, out))
     numbers = c_int64(frames), c_int64(m), c_float(1 / s.samples**2), c_int(torch.get_num_threads())
     kernels.ptt_local_light(*tensors, *numbers)
@@ -68,9 +69,11 @@ def resampled_light(coefficients: Tensor, frames: Tensor, target: Grid, samples:
     kernels = library() if rotates(coefficients) and ready(frames) else None
     if kernels is None:
         return rotation.resampled_light(coefficients, frames, target, samples)
-    m, frames = target.shape[-1], frames.contiguous()
+    m = target.shape[-1]
+    frames = frames.contiguous()
     directions = _directions(target, samples)
-    source, out = _four(haar.synthesise(coefficients)), coefficients.new_empty(len(frames), m * m, CHANNELS)
+    source = _four(haar.synthesise(coefficients))
+    out = coefficients.new_empty(len(frames), m * m, CHANNELS)
     tensors = map(address, (source, frames, directions, out))
     sizes = (len(frames), m, samples**2, directions.shape[1], coefficients.shape[-1])
     kernels.ptt_resampled_light(*tensors, *map(c_int64, sizes), c_int(torch.get_num_threads()))
@@ -98,7 +101,8 @@ def quantised(s: Resampling, n: int, m: int, unit: float, threshold: int) -> Qua
     kernels = library()
     if kernels is None:
         return rotation.quantised(s, n, m, unit, threshold)
-    source, analysis = rotation.haar_matrix(n), _analysis(m)
+    source = rotation.haar_matrix(n)
+    analysis = _analysis(m)
     rows = len(s.starts) - 1
     tensors = {"starts": s.starts, "reads": s.reads, "at": source.col_indices(), "worth": source.values()}
     tensors |= dict(zip(("begins", "parts", "shares"), analysis, strict=True))
@@ -106,7 +110,8 @@ def quantised(s: Resampling, n: int, m: int, unit: float, threshold: int) -> Qua
     numbers = {"frames": rows // m**2, "m": m, "cells": n * n, "terms": source.values().numel() // n**2}
     column = rotation.column_type(n)
     numbers |= {"threshold": max(1, threshold), "wide": column == torch.int32, "threads": torch.get_num_threads()}
-    pointers, scale = {name: tensor.data_ptr() for name, tensor in tensors.items()}, 1 / (unit * s.samples**2)
+    pointers = {name: tensor.data_ptr() for name, tensor in tensors.items()}
+    scale = 1 / (unit * s.samples**2)
     kernels.ptt_form(ctypes.byref(_Form(**pointers, **numbers, scale=scale)))
     starts = pad(tensors["kept"].cumsum(0), (1, 0))
     columns, values = (torch.empty(int(starts[-1]), dtype=t) for t in (column, torch.int16))
@@ -122,7 +127,8 @@ def rotated_light(coefficients: Tensor, matrix: Quantised, m: int) -> Tensor:
         csr = matrix.to_csr(coefficients[0].numel(), coefficients.dtype)
         return rotation.rotated_light(coefficients, csr, m)
     rows = len(matrix.starts) - 1
-    source, out = _four(coefficients), coefficients.new_empty(rows // m**2, m * m, CHANNELS)
+    source = _four(coefficients)
+    out = coefficients.new_empty(rows // m**2, m * m, CHANNELS)
     tensors = map(address, (source, matrix.starts, matrix.columns, matrix.numbers, out))
     wide = c_int(matrix.columns.dtype == torch.int32)
     kernels.ptt_rotated_light(*tensors, c_int64(rows), c_float(matrix.unit), wide, c_int(torch.get_num_threads()))
@@ -134,7 +140,8 @@ def reflected(light: Tensor, cut: Slices, first: Tensor, frames: Tensor, at: Loc
     kernels = library() if _fits(light, cut, first, frames, at, eye) else None
     if kernels is None:
         return slices.reflected(light, cut, first, frames, at, eye)
-    v, channels = at.position.shape[1], light.shape[2]
+    v = at.position.shape[1]
+    channels = light.shape[2]
     light = (light if channels == CHANNELS else pad(light, (0, CHANNELS - channels))).contiguous()  # pad copies
     tensors = {"light": light, "eye": eye.contiguous(), "first": first, "out": light.new_empty(v, CHANNELS)}
     tensors |= {name: getattr(at, name) for name in ("position", "normal", "weights", "near")}
@@ -148,7 +155,8 @@ def reflected(light: Tensor, cut: Slices, first: Tensor, frames: Tensor, at: Loc
 
 def _fits(light: Tensor, cut: Slices, first: Tensor, frames: Tensor, at: Located, eye: Tensor) -> bool:
     """Whether the kernel is for these arguments."""
-    v, t = at.position.shape[1], cut.terms.shape[1]
+    v = at.position.shape[1]
+    t = cut.terms.shape[1]
     kept = at.position, at.normal, at.weights
     shapes = light.ndim == 3 and light.shape[2] <= CHANNELS and v % ALIGNED == 0 and t % ALIGNED == 0
     shapes = shapes and eye.shape in ((3,), (3, v)) and first.shape == (4, v) and frames.shape == (len(light), 3, 3)

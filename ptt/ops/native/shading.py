@@ -13,7 +13,8 @@ from ptt.ops.native.arguments import KINDS, ready
 from ptt.ops.native.kernels import library
 from ptt.ops.shade import Coats, Functions, Points
 
-SEEN, VIEWS = {1: (1,), 4: (1, 3, 4), 8: (1, 3, 4)}, {1: 1, 4: 4, 8: 4}  # rows that are interpolated, by those of light
+SEEN = {1: (1,), 4: (1, 3, 4), 8: (1, 3, 4)}
+VIEWS = {1: 1, 4: 4, 8: 4}  # rows that are interpolated, by those of light
 COATS = 1, 2
 
 POINTERS = (
@@ -60,8 +61,11 @@ def shade(functions: Functions, coats: Coats, at: Points) -> Tensor:
 def _fits(functions: Functions, coats: Coats, at: Points) -> bool:
     """Whether the kernel is for these arguments."""
     (light, by), visibility, dull, (glossy, of) = functions
-    n, p, (i, r) = len(dull), len(at.region), coats.first.shape
-    k, j = at.light.rows.shape[1], at.seen.rows.shape[1]
+    n = len(dull)
+    p = len(at.region)
+    (i, r) = coats.first.shape
+    k = at.light.rows.shape[1]
+    j = at.seen.rows.shape[1]
     shapes = light.shape[1:] == (3, n) and visibility.shape[1:] == (n,) == glossy.shape[1:]
     shapes = shapes and by.shape == light.shape[:1] and of.shape == glossy.shape[:1]
     shapes = shapes and k in SEEN and j in SEEN[k] and i in COATS and at.view.rows.shape[1] == VIEWS[k]

@@ -22,7 +22,8 @@ from ptt.ops.relight import Arriving, Responses, Sent
 from ptt.ops.sphere import Cube, turn
 from ptt.ops.view import Gloss, Points, Seen, light_about
 
-W, TILTS = 32, 20
+W = 32
+TILTS = 20
 Inputs = tuple[list[Seen], Tensor]
 
 
@@ -37,10 +38,12 @@ def inputs(
     colour = None if white else torch.rand(3, n, generator=g)
     points = Points(torch.randn(3, n, generator=g), frame, colour, cuts, place)
     eye = torch.nn.functional.normalize(torch.randn(3, n, generator=g), dim=0) if distant else torch.ones(3)
-    rho, axes = torch.rand(turns * TILTS, k, generator=g), 0.1 + torch.rand(TILTS, 2 * k, generator=g)
+    rho = torch.rand(turns * TILTS, k, generator=g)
+    axes = 0.1 + torch.rand(TILTS, 2 * k, generator=g)
     maps = torch.rand(k, 12 * 12, 4, generator=g)
     which = torch.randperm(4, generator=g)[:k]
-    turn, blurs = rotations(1, g)[0].contiguous(), torch.rand(k, s, generator=g)
+    turn = rotations(1, g)[0].contiguous()
+    blurs = torch.rand(k, s, generator=g)
     gloss = Gloss(which, rho, axes, torch.rand(3, generator=g), maps, turn, blurs) if k else None
     sent = Sent(torch.randn(b, 3, o + s, W, generator=g).half(), torch.rand(b, generator=g))
     return [Seen(points, eye, sent, gloss)], torch.randn(14 * 14, o - 1, generator=g)
@@ -180,7 +183,8 @@ def close(got: Tensor, expected: Tensor, tolerance: float = 2e-6) -> None:
 
 @pytest.mark.parametrize("n", [4, 16, 32])
 def test_lighting_agrees(alone: None, n: int) -> None:
-    g, grid = torch.Generator().manual_seed(n), Cube(n)
+    g = torch.Generator().manual_seed(n)
+    grid = Cube(n)
     fine = torch.rand(32 * 32, 4, generator=g)
     turned = (turn(1, 40.0) @ turn(0, 25.0)).float()
     directions, shares = samples(grid)
@@ -226,9 +230,11 @@ def test_eigen_agrees(alone: None, sizes: tuple[int, ...], glossy: bool) -> None
 )
 def test_expand_agrees(alone: None, k: int, e: int, x: int, b: int, size: float) -> None:
     g = torch.Generator().manual_seed(x)
-    eigen, weights = size * torch.randn(k, 3, e, x, generator=g), torch.randn(b, e, 128, generator=g)
+    eigen = size * torch.randn(k, 3, e, x, generator=g)
+    weights = torch.randn(b, e, 128, generator=g)
     cluster = torch.randint(0, k, (b,), generator=g)
-    sent, expected = native.expand(eigen, weights, cluster), PLAIN[3](eigen.double(), weights.double(), cluster)
+    sent = native.expand(eigen, weights, cluster)
+    expected = PLAIN[3](eigen.double(), weights.double(), cluster)
     values = sent.values.double() * sent.unit[:, None, None, None]
     assert values.isfinite().all() and sent.values.dtype == torch.float16
     values = values.unflatten(0, (b, 8)).permute(0, 2, 3, 1, 4).flatten(3)
@@ -281,7 +287,8 @@ def test_no_compiler_is_one_warning(monkeypatch: pytest.MonkeyPatch, tmp_path: P
 
 
 def test_builds_at_the_same_time_are_safe(built: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    barrier, made = threading.Barrier(2), []
+    barrier = threading.Barrier(2)
+    made = []
 
     def run(*command: str) -> str:
         if "-shared" in command:

@@ -39,7 +39,9 @@ def test_local_light(n: int, m: int, channels: int) -> None:
 @pytest.mark.parametrize(("n", "m"), [(2, 1), (16, 8), (64, 32)])
 def test_resampled_light(n: int, m: int, samples: int) -> None:
     """Samples on the edge of a cell may fall to either side in float32: few, and each is one part of one mean."""
-    frames, target, light = frames_for(5).float(), HemiOctahedral(m), light_for(n, 3)
+    frames = frames_for(5).float()
+    target = HemiOctahedral(m)
+    light = light_for(n, 3)
     got = native.resampled_light(light, frames, target, samples)
     wanted = rotation.resampled_light(light, frames, target, samples)
     off = (got - wanted).abs()
