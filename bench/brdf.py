@@ -1,7 +1,7 @@
 """BRDF spaces: every figure of them, as rows of bench/results/brdf.csv.
 
-    PTT_DATA=... python bench/brdf.py             # 8 minutes on two cores
-    PTT_DATA=... python bench/brdf.py --quick     # three minutes: fewer samples, ranks and pixels
+    PTT_DATA=... python -m bench.brdf             # 8 minutes on two cores
+    PTT_DATA=... python -m bench.brdf --quick     # three minutes: fewer samples, ranks and pixels
 
 Needs PTT_DATA with hdri/uffizi.hdr. Pictures go to docs/images.
 """
@@ -12,7 +12,6 @@ import argparse
 import math
 import os
 import statistics
-import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from itertools import product
@@ -20,8 +19,6 @@ from pathlib import Path
 
 import torch
 from torch import Tensor
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import ptt
 from bench import tucker_peer

@@ -1,7 +1,7 @@
 """Direct light: every figure of it, as rows of bench/results/direct.csv.
 
-    PTT_DATA=... python bench/direct.py             # about 10 minutes on two cores
-    PTT_DATA=... python bench/direct.py --quick     # under a minute: fewer vertices, rays and samples
+    PTT_DATA=... python -m bench.direct             # about 10 minutes on two cores
+    PTT_DATA=... python -m bench.direct --quick     # under a minute: fewer vertices, rays and samples
 
 Needs the extra `bench` (Mitsuba), and PTT_DATA with meshes/bunny.ply and hdri/uffizi.hdr. Pictures go to docs/images.
 """
@@ -22,8 +22,6 @@ from pathlib import Path
 
 import torch
 from torch import Tensor
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import ptt
 from bench import mitsuba_check

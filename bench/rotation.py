@@ -1,7 +1,7 @@
 """Rotation of light: every figure of it, as rows of bench/results/rotation.csv.
 
-    PTT_DATA=... python bench/rotation.py             # 9 minutes on two cores
-    python bench/rotation.py --quick                  # half a minute: small maps and a ball, written nowhere
+    PTT_DATA=... python -m bench.rotation             # 9 minutes on two cores
+    python -m bench.rotation --quick                  # half a minute: small maps and a ball, written nowhere
 
 Needs the extra `peers` (pyshtools), and PTT_DATA with meshes and maps. Pictures go to docs/images.
 """
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import time
 import warnings
 from collections.abc import Iterator, Sequence
@@ -20,8 +19,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import ptt
 from bench import rotation_peers as peers

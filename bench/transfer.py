@@ -1,8 +1,8 @@
 """Indirect light that follows every edit: every figure of it, as rows of bench/results/transfer.csv.
 
-    PTT_DATA=... python bench/transfer.py                   # about 50 minutes on two cores
-    PTT_DATA=... python bench/transfer.py --only engine     # or suzanne, dragon, caustic, growth
-    python bench/transfer.py --quick                        # under a minute: a ball over a floor alone
+    PTT_DATA=... python -m bench.transfer                   # about 50 minutes on two cores
+    PTT_DATA=... python -m bench.transfer --only engine     # or suzanne, dragon, caustic, growth
+    python -m bench.transfer --quick                        # under a minute: a ball over a floor alone
 
 Needs the extra `bench` (Mitsuba), and PTT_DATA with meshes and maps. Pictures go to docs/images. Every scene has a
 process of its own, so that its peak memory is known.
@@ -14,7 +14,6 @@ import argparse
 import csv
 import os
 import resource
-import sys
 import time
 import warnings
 from concurrent.futures import ProcessPoolExecutor
@@ -25,8 +24,6 @@ from typing import Any
 
 import torch
 from torch import Tensor
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import ptt
 from bench.against import IMAGES, caustic, facing, pictures, right

@@ -1,7 +1,7 @@
 """Triple products in local frames: every figure of it, as rows of bench/results/triple.csv.
 
-    PTT_DATA=... python bench/triple.py             # about ten minutes on two cores, pictures and all
-    python bench/triple.py --quick                  # over a minute: a ball over a floor, written nowhere
+    PTT_DATA=... python -m bench.triple             # about ten minutes on two cores, pictures and all
+    python -m bench.triple --quick                  # over a minute: a ball over a floor, written nowhere
 
 Needs PTT_DATA with meshes and maps. Pictures go to docs/images.
 """
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import time
 import warnings
 from collections.abc import Iterator, Mapping
@@ -21,8 +20,6 @@ from typing import get_args
 
 import torch
 from torch import Tensor
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import ptt
 from bench import triple_pictures
