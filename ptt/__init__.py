@@ -37,6 +37,8 @@ from ptt.transfer.compression import compress
 from ptt.transfer.occlusion import ambient_occlusion
 from ptt.transfer.raw import RawTransfer, precompute
 
+__version__ = "0.1.0"
+
 __all__ = [
     "GGX",
     "MERL",
