@@ -15,12 +15,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from ptt.ops import haar
+from ptt.ops import haar, tucker
 from ptt.ops.octahedral import HemiOctahedral, corners, hemi_octahedral, octahedral
 
 BRDF = Callable[[Tensor, Tensor], Tensor]  # f(wi, wo): (..., 3), (..., 3) -> (...) [1/sr]
@@ -64,6 +64,42 @@ class Slices(NamedTuple):
             return self.values.float() @ self.basis
         dense = self.values.new_zeros(len(self.terms), cells, dtype=torch.float32)
         return dense.scatter_add(1, self.terms.long(), self.values.float())
+
+    def to_tensorly(self, cells: int) -> Any:
+        """tensorly's TuckerTensor (s, cells) of `to_dense`: the products of `factorised` slices, else at full rank."""
+        if self.basis is None:
+            values = self.to_dense(cells)
+            columns = torch.eye(cells, device=values.device)
+        else:
+            columns = self.basis[self.basis.abs().amax(1) > 0].T  # shape: (cells, r), without the padding
+            values = self.values[:, : columns.shape[1]].float()
+        return tucker.Tucker(torch.eye(columns.shape[1]).to(columns), (values, columns)).to_tensorly()
+
+    def with_tensorly(self, tucker_tensor: Any) -> Slices:
+        """The same views of slices that a TuckerTensor (s, cells) stands for, rounded to 16 bits: 5e-4 of a value.
+
+        At a rank r below `cells` on the second axis they are `factorised`, the sum of r products. At full rank those
+        of a table are a table again, of the largest terms, as many as before.
+
+        Raises:
+            ValueError: another shape, fewer cells than the terms need, or values beyond those of 16 bits.
+        """
+        length = None if self.basis is None else self.basis.shape[1]
+        fit = tucker.Tucker.checked(tucker_tensor, (len(self.terms), length), self.values.float(), "slices")
+        cells = len(fit.factors[1])
+        if self.basis is None and cells <= int(self.terms.max()):
+            raise ValueError(f"slices must have more than {int(self.terms.max())} cells, the last term, got {cells}")
+        if self.basis is None and fit.core.shape[1] >= cells:
+            terms, values = haar.truncate(fit.to_dense(), min(self.terms.shape[1], cells))
+            padding = 0, -values.shape[1] % ALIGNED
+            terms = torch.nn.functional.pad(terms, padding).to(torch.int16)
+            made = Slices(terms, torch.nn.functional.pad(values, padding).half(), self.views)
+        else:
+            core, (rows, columns) = fit.orthonormal([1])
+            made = _products(rows @ core, columns.T.contiguous(), self.views)
+        if not bool(made.values.isfinite().all()):
+            raise ValueError("slices must have values of at most 65504, which 16 bits hold")
+        return made
 
 
 class Located(NamedTuple):
@@ -135,10 +171,17 @@ def factorise(f: BRDF, m: int, views: int, rank: int, twists: int = 1, samples: 
         raise ValueError(f"rank must be in 1..{min(dense.shape)}, got {rank}")
     gram = torch.stack([block.double().T @ block.double() for block in dense.split(1 << 14)]).sum(0)
     basis = torch.linalg.eigh(gram).eigenvectors[:, -rank:].flip(1).T.float().contiguous()
+    return _products(dense @ basis.T, basis, views)
+
+
+def _products(values: Tensor, basis: Tensor, views: int) -> Slices:
+    """Slices values (s, r) @ basis (r, M), of orthonormal rows: so no value exceeds the norm of its slice."""
+    rank = len(basis)
     padding = -rank % ALIGNED
-    terms = torch.nn.functional.pad(torch.arange(rank, dtype=torch.int16).expand(len(dense), -1), (0, padding))
-    values = torch.nn.functional.pad(dense @ basis.T, (0, padding)).half()
-    return Slices(terms.contiguous(), values, views, torch.nn.functional.pad(basis, (0, 0, 0, padding)))
+    terms = torch.arange(rank, dtype=torch.int16, device=basis.device).expand(len(values), -1)
+    terms = torch.nn.functional.pad(terms, (0, padding)).contiguous()
+    values = torch.nn.functional.pad(values, (0, padding)).half()
+    return Slices(terms, values, views, torch.nn.functional.pad(basis, (0, 0, 0, padding)))
 
 
 def cosine(m: int) -> Tensor:

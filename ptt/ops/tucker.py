@@ -29,7 +29,7 @@ _CHUNK = 1 << 22  # elements that are float64 at a time: 32 MiB
 
 
 class Tucker(NamedTuple):
-    """core (r1, .., rk) and one factor (n, r) per axis with orthonormal columns."""
+    """core (r1, .., rk) and one factor (n, r) per axis; the decompositions below have orthonormal columns."""
 
     core: Tensor
     factors: tuple[Tensor, ...]
@@ -49,6 +49,47 @@ class Tucker(NamedTuple):
         """From a TuckerTensor of numpy arrays or torch tensors, whose memory it shares; factors stay as they are."""
         core, factors = tucker_tensor
         return cls(torch.as_tensor(core), tuple(torch.as_tensor(factor) for factor in factors))
+
+    @classmethod
+    def checked(cls, tucker_tensor: Any, shape: Sequence[int | None], like: Tensor, name: str) -> Tucker:
+        """From a TuckerTensor of that shape, at any ranks from 1, in the type and on the device of `like`.
+
+        shape: the length of every axis, None for any
+
+        Raises:
+            ValueError: it is none, has another shape, core and factors do not fit, or a value is not finite; the
+                message starts with the name.
+        """
+        try:
+            core, factors = tucker_tensor
+            parts = [torch.as_tensor(part).to(like) for part in (core, *factors)]
+        except (TypeError, ValueError) as error:
+            kind = type(tucker_tensor).__name__
+            raise ValueError(f"{name} must be a TuckerTensor, a pair (core, factors), got {kind}") from error
+        fit = cls(parts[0], tuple(parts[1:]))
+        shapes = [tuple(factor.shape) for factor in fit.factors]
+        ranks = tuple(fit.core.shape)
+        fits = len(shape) == len(shapes) == len(ranks) and 0 not in ranks
+        lengths = [len(factor) if n is None else n for n, factor in zip(shape, fit.factors, strict=False)]
+        if not fits or shapes != list(zip(lengths, ranks, strict=True)):
+            raise ValueError(
+                f"{name} must be a TuckerTensor of shape {tuple(shape)}, with a factor (n, r) per axis of its core, "
+                f"got factors {shapes} and a core {ranks}"
+            )
+        if not all(bool(part.isfinite().all()) for part in parts):
+            raise ValueError(f"{name} must be finite")
+        return fit
+
+    def orthonormal(self, axes: Iterable[int]) -> Tucker:
+        """The same tensor with orthonormal factors (n, min(n, r)) of some axes; those that are so stay, to rounding."""
+        core = self.core
+        factors = list(self.factors)
+        for axis in axes:
+            basis, rest = torch.linalg.qr(factors[axis].double())
+            sign = torch.where(rest.diagonal() < 0, -1.0, 1.0)
+            factors[axis] = (basis * sign).to(core.dtype)
+            core = torch.tensordot((sign[:, None] * rest).to(core.dtype), core, ([1], [axis])).movedim(0, axis)
+        return Tucker(core, tuple(factors))
 
 
 def decompose(
