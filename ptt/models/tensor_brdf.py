@@ -223,7 +223,7 @@ class Remainders(Sequence[Tensor]):
         if self.angles:
             separate = separation.separate_isotropic if shape.isotropic else separation.separate
             found = separate(shape.evaluate, d, self.angles)
-            columns = separation.Lobes(*(part[..., None] for part in found))
+            columns = separation.SeparatedLobes(*(part[..., None] for part in found))
             values = separation.remainder(values, self.from_mirror, columns, self.angles)
         return values * (weights / self.norms[h])
 

@@ -18,9 +18,9 @@ Direct transfer, per texel t of a cube map (`transfer`; rays by `raycast`), and 
     T0[v, i, t] = V[v, t] u_i[i, t] max(n . w_t, 0) dw_t           T0[v, i, l] = Haar of T0[v, i, t] over t
     sum over t of L[t] T0[v, i, t]  =  sum over l of L[l] T0[v, i, l],  since the basis is orthonormal
 
-Transfer after one and two reflections (section 3.1; `ptt.bounces`), q a slot: a region and a function f_q that it
-reflects by, Z_s harmonics that are orthonormal on the hemisphere with the cosine (`harmonics.hemispherical`), y what v
-sees along w:
+Transfer after one and two reflections (section 3.1; `ptt.transfer.bounces`), q a slot: a region and a function f_q by
+which it reflects, Z_s harmonics that are orthonormal on the hemisphere with the cosine (`harmonics.hemispherical`), y
+what v sees along w:
 
     T1[v, q, s, l]     = integral of  Z_s(w) (w . n)  sum over i of f_q[y, -w, i] T0[y, i, l]  dw
     T2[v, q', q, l]    = integral of  Z_0 (w . n)  sum over s of  f_q'[y, -w, s] T1[y, q, s, l]  dw
@@ -47,9 +47,9 @@ Triple products in local frames (Ma et al. 2006; `geodesic`, `triple`, `local`, 
             = 20 / n sum over t of  L[p, c, t] V[p, t] F[p, c, t]               on the n triangles of a level
 
 Departures from Sun et al.: the cosine weights of each point are scaled so that its hemisphere sums to pi; coefficients
-of T0 are shared out among the factors of a point by what each adds to the picture (`ptt.assembly`); lobes take over all
-light that the smooth remainder lacks, and lean to where it comes from (`separation`); indirect light arrives in
-harmonics of the hemisphere, not the sphere.
+of T0 are shared out among the factors of a point by what each adds to the picture (`ptt.transfer.assembly`); lobes take
+over all light that the smooth remainder lacks, and lean to where it comes from (`separation`); indirect light arrives
+in harmonics of the hemisphere, not the sphere.
 
 Example, the integral of a constant over the sphere, in wavelets:
     >>> import torch

@@ -42,9 +42,10 @@ def nodes(wo: Tensor, finest: float = 1e-9, rings: int = 160, turns: int = 48) -
 
     With h at angle t to the normal and phi from wo's azimuth, wi = 2 (wo.h) h - wo and dwi = 4 (wo.h) dh. For wo at
     angle a, wi is above the horizon where cos(phi) > -cot(a) cot(2t): on the whole ring up to t = (pi/2 - a)/2, on an
-    arc of it up to (pi/2 + a)/2. Gauss-Legendre over that arc, and in log(1 + t / finest) on either side of the bound.
+    arc of it up to (pi/2 + a)/2. The rule is Gauss-Legendre: over that arc, and in log(1 + t / finest) on either side
+    of the bound.
 
-    dwi = 4 (wo.h) dh: Walter et al. 2007, eq. 14.
+    Walter et al. 2007, equation 14 (dwi).
     """
     wo = wo.double()
     up = wo[..., 2, None]
@@ -63,8 +64,7 @@ def nodes(wo: Tensor, finest: float = 1e-9, rings: int = 160, turns: int = 48) -
     dh = (dt * t.sin() * 2 * arc)[..., None] * wy
     cx = phi.cos() * t.sin()[..., None]
     cy = phi.sin() * t.sin()[..., None]
-    ex = east[..., 0, None, None]
-    ey = east[..., 1, None, None]
+    ex, ey = east[..., None, None, :].unbind(-1)
     h = torch.stack([cx * ex - cy * ey, cx * ey + cy * ex, t.cos()[..., None].expand_as(cx)], -1).flatten(-3, -2)
     wo = wo[..., None, :].expand_as(h)
     oh = (wo * h).sum(-1)

@@ -133,4 +133,5 @@ def _sin2(h: Tensor) -> Tensor:
 
 
 def _above(wi: Tensor, wo: Tensor) -> Tensor:
+    """1 where both directions lie above the horizon, else 0."""
     return ((wi[..., 2] > 0) & (wo[..., 2] > 0)).to(wi.dtype)

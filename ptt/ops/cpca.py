@@ -11,9 +11,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-SWEEPS = 12
-SETTLED = 1e-3  # the error falls by less than this share of itself: done
-CHUNK = 1 << 26  # elements of a product at once
+SWEEPS = 12  # at most, of assigning the points and fitting the bases: more take longer and leave less error
+SETTLED = 1e-3  # sweeps end when one lowers the error by less than this share of it
+ELEMENTS_AT_ONCE = 1 << 26  # of points times eigenvectors: 256 MB in float32
+ROUNDING = 1e-13  # share of the largest eigenvalue of a float64 Gram matrix: smaller ones are rounding
 
 
 def cluster(data: Tensor, count: int, eigenvectors: int, sweeps: int = SWEEPS) -> Tensor:
@@ -46,7 +47,7 @@ def cluster(data: Tensor, count: int, eigenvectors: int, sweeps: int = SWEEPS) -
 def basis(data: Tensor, eigenvectors: int) -> Tensor:
     """Orthonormal rows (e, r), the leading right singular vectors of data (n, r); zero rows beyond its rank.
 
-    By the float64 Gram matrix of the smaller side.
+    They come from the float64 Gram matrix of the smaller side.
     """
     x = data.double()
     n, r = x.shape
@@ -57,20 +58,21 @@ def basis(data: Tensor, eigenvectors: int) -> Tensor:
         size, vectors = torch.linalg.eigh(x.T @ x)
         rows = vectors.T.flip(0)[:eigenvectors]
     size = size.flip(0)[:eigenvectors].clamp(min=0)
-    real = size > 1e-13 * size[:1]
-    rows = torch.linalg.qr(rows.T)[0].T  # the Gram matrix leaves small ones askew
+    real = size > ROUNDING * size[:1]
+    rows = torch.linalg.qr(rows.T)[0].T  # those of small eigenvalues come out of the Gram matrix askew
     out = data.new_zeros(eigenvectors, r)
     out[: len(rows)] = (rows * real[:, None]).to(data)
     return out
 
 
 def _assign(data: Tensor, bases: Tensor) -> tuple[Tensor, Tensor]:
-    """The basis (k, e, r) that leaves least of each row, and the squared error that it leaves (v,)."""
+    """The number (v,) of the basis (k, e, r) that leaves least of each row, and its squared error (v,)."""
     k, e, _ = bases.shape
     whole = data.square().sum(1)
     labels = []
     errors = []
-    for rows, size in zip(data.split(max(1, CHUNK // (k * e))), whole.split(max(1, CHUNK // (k * e))), strict=True):
+    step = max(1, ELEMENTS_AT_ONCE // (k * e))
+    for rows, size in zip(data.split(step), whole.split(step), strict=True):
         caught = (rows @ bases.flatten(0, 1).T).square_().unflatten(1, (k, e)).sum(2)
         best = caught.max(1)
         labels.append(best.indices)
@@ -79,14 +81,14 @@ def _assign(data: Tensor, bases: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _reseeded(labels: Tensor, errors: Tensor, count: int) -> Tensor:
-    """Empty clusters get the points that are reconstructed worst."""
+    """The labels (v,) after every empty cluster has got one of the points that are reconstructed worst."""
     empty = torch.nonzero(torch.bincount(labels, minlength=count) == 0)[:, 0]
     worst = errors.argsort(descending=True, stable=True)[: len(empty)]
     return labels.scatter(0, worst, empty[: len(worst)])
 
 
 def _nearest_seeds(data: Tensor, count: int, rounds: int = 8) -> Tensor:
-    """Clusters by k-means, started from points that lie far from each other."""
+    """Labels (v,) by k-means, started from points that lie far from each other."""
     seeds = [int(data.square().sum(1).argmax())]
     distance = (data - data[seeds[0]]).square().sum(1)
     while len(seeds) < min(count, len(data)) and float(distance.max()) > 0:
@@ -102,6 +104,6 @@ def _nearest_seeds(data: Tensor, count: int, rounds: int = 8) -> Tensor:
 
 
 def _numbered(labels: Tensor) -> Tensor:
-    """The same clusters without gaps between their numbers."""
+    """Labels (v,) of the same clusters, whose numbers leave no gaps."""
     numbers: Tensor = labels.unique(return_inverse=True)[1]
     return numbers

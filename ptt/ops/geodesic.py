@@ -34,9 +34,9 @@ from torch import Tensor
 
 from ptt.ops.sphere import Grid, at_least_one, checked_directions, triangle_solid_angles, unit
 
-ROOTS = 20
+ROOTS = 20  # triangles of the icosahedron
 SIGNS = torch.tensor([[1, -1, -1, 1], [1, -1, 1, -1], [1, 1, -1, -1]])  # of psi_0, psi_1, psi_2 on the children
-FINEST = 9  # level: 5 million triangles
+FINEST_LEVEL = 9  # 5 million triangles
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class Geodesic(Grid):
     level: int
 
     def __post_init__(self) -> None:
-        if not 0 <= self.level <= FINEST:
-            raise ValueError(f"level must be in 0..{FINEST}, got {self.level}")
+        if not 0 <= self.level <= FINEST_LEVEL:
+            raise ValueError(f"level must be in 0..{FINEST_LEVEL}, got {self.level}")
 
     @property
     def shape(self) -> tuple[int]:
@@ -61,7 +61,7 @@ class Geodesic(Grid):
         return corners
 
     def directions(self) -> Tensor:
-        """Middles of the triangles (t, 3), unit, float64."""
+        """Directions of the middles (t, 3) of the triangles, unit, float64."""
         return unit(self.corners().sum(1))
 
     def solid_angles(self) -> Tensor:
@@ -69,12 +69,13 @@ class Geodesic(Grid):
         return triangle_solid_angles(*self.corners().unbind(1))
 
     def ratios(self) -> Tensor:
-        """Solid angles (t,) by their mean, float64: 0.6 to 1.1 at level 4."""
+        """Solid angles (t,) over their mean, float64: 0.6 to 1.1 at level 4."""
         return self.solid_angles() * (self.cells / (4 * math.pi))
 
     def cell(self, directions: Tensor) -> Tensor:
         d = checked_directions(directions)
-        d, batch = unit(d.reshape(-1, 3)), d.shape[:-1]
+        batch = d.shape[:-1]
+        d = unit(d.reshape(-1, 3))
         corners = _icosahedron().to(d.device)
         index = (d @ _edges(corners).reshape(-1, 3).T).reshape(-1, ROOTS, 3).amin(2).argmax(1)
         corners = corners[index]
@@ -102,15 +103,15 @@ class Geodesic(Grid):
 
     def means(self, function: Callable[[Tensor], Tensor], k: int, chunk: int = 1 << 20) -> Tensor:
         parts = []
-        levels = self.refine(k).level - self.level
-        for corners in self.corners().split(max(1, chunk >> 2 * levels)):
+        cuts = self.refine(k).level - self.level
+        for corners in self.corners().split(max(1, chunk >> 2 * cuts)):
             fine = corners
-            for _ in range(levels):
+            for _ in range(cuts):
                 fine = _children(fine).flatten(0, 1)
             values = function(unit(fine.sum(1)).float())
             weights = triangle_solid_angles(*fine.unbind(1)).to(values)[:, None]
-            summed, total = ((x.reshape(len(corners), -1, x.shape[1])).sum(1) for x in (values * weights, weights))
-            parts.append(summed / total)
+            summed = (values * weights).reshape(len(corners), -1, values.shape[1]).sum(1)
+            parts.append(summed / weights.reshape(len(corners), -1, 1).sum(1))
         return torch.cat(parts)
 
 
@@ -148,7 +149,7 @@ def areas(level: int) -> Tensor:
 
 
 def levels(n: int) -> int:
-    """The level whose triangles are n.
+    """The level that has n triangles.
 
     Raises:
         ValueError: there is none.
@@ -161,7 +162,10 @@ def levels(n: int) -> int:
 
 @cache
 def _icosahedron() -> Tensor:
-    """Corners (20, 3, 3), counter-clockwise, from the top down; its own mirror image in x, y and z."""
+    """Corners (20, 3, 3) of the triangles, counter-clockwise, from the top down.
+
+    The icosahedron is its own mirror image in x, y and z.
+    """
     golden = (1 + math.sqrt(5)) / 2
     signs = torch.cartesian_prod(*[torch.tensor([1.0, -1.0], dtype=torch.float64)] * 2)
     flat = torch.cat((torch.zeros(4, 1).double(), signs * torch.tensor([1, golden]).double()), 1)
@@ -175,7 +179,7 @@ def _icosahedron() -> Tensor:
 
 
 def _children(corners: Tensor) -> Tensor:
-    """Corners (..., 4, 3, 3) of the four parts of triangles (..., 3, 3)."""
+    """Corners (..., 4, 3, 3) of the four children of triangles (..., 3, 3)."""
     a, b, c = corners.unbind(-2)
     ab = unit(a + b)
     bc = unit(b + c)
@@ -185,6 +189,6 @@ def _children(corners: Tensor) -> Tensor:
 
 
 def _edges(corners: Tensor) -> Tensor:
-    """Normals (..., 3, 3) of the planes through the edges, inwards."""
+    """Normals (..., 3, 3), inwards, of the planes through the origin and the edges of triangles (..., 3, 3)."""
     normals: Tensor = torch.linalg.cross(corners, corners.roll(-1, -2))
     return normals

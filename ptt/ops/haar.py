@@ -70,7 +70,7 @@ class Truncated(NamedTuple):
     values: Tensor
 
     def to_dense(self, length: int) -> Tensor:
-        """(..., length), zeros elsewhere."""
+        """The coefficients (..., length), with zeros where none was kept."""
         dense = self.values.new_zeros(*self.values.shape[:-1], length)
         return dense.scatter(-1, self.indices.long(), self.values)
 
@@ -78,8 +78,8 @@ class Truncated(NamedTuple):
 def truncate(coefficients: Tensor, keep: int, weights: Tensor | None = None) -> Truncated:
     """Non-linear approximation of coefficients (..., l): the `keep` largest magnitudes, the best in the L2 norm.
 
-    weights (l,): of the magnitudes, >= 0; default 1. With the standard deviation that the other factor of a product
-        is expected to have in each coefficient, the choice is the best for the product
+    weights (l,): factors >= 0 on the magnitudes; default 1. Where they are the standard deviations that the other
+        factor of a product is expected to have in each coefficient, the choice is the best for the product
 
     Raises:
         ValueError: keep is not in 1..l.
@@ -97,12 +97,14 @@ def truncate(coefficients: Tensor, keep: int, weights: Tensor | None = None) -> 
 def support(n: int) -> Tensor:
     """Side of the square (n, n) on which each basis function differs from zero, as a share of the grid's, float64."""
     side = torch.ones(n, dtype=torch.float64)
-    for first in (1 << j for j in range(n.bit_length() - 1)):
+    for level in range(n.bit_length() - 1):
+        first = 1 << level
         side[first : 2 * first] = 1 / first
     return torch.minimum(side, side[:, None])
 
 
 def _side(values: Tensor) -> int:
+    """The side n of values (..., n, n), checked."""
     rows, columns = values.shape[-2:]
     if rows != columns or rows & (rows - 1) or rows == 0:
         raise ValueError(f"the last two axes must be equal powers of two, got {rows} x {columns}")

@@ -19,7 +19,8 @@ from torch import Tensor
 def evaluate(directions: Tensor, order: int) -> Tensor:
     """The first order^2 harmonics (..., order^2) at unit directions (..., 3), in their dtype.
 
-    By the recurrence of the associated Legendre functions, scaled by sin^m (Sloan 2013), stable to high orders.
+    They follow from the recurrence of the associated Legendre functions, scaled by sin^m (Sloan 2013), which is stable
+    to high orders.
 
     Raises:
         ValueError: order < 1, or the last axis is not 3.
@@ -53,8 +54,9 @@ def evaluate(directions: Tensor, order: int) -> Tensor:
 def hemispherical(order: int) -> Tensor:
     """A (s, t), lower triangular, float64: Z_s = sum over t of A[s, t] Y_t is orthonormal on the hemisphere z > 0.
 
-    In the measure cos(theta) dw, where it spans what the harmonics do: the best approximation there of light that comes
-    from above the horizon alone, which the harmonics themselves would smear below. Z_0 is constant, 1 / sqrt(pi).
+    The measure is cos(theta) dw. Z spans what the harmonics span, so an expansion in it is their best approximation of
+    light that comes from above the horizon alone; an expansion in Y would smear that light below the horizon.
+    Z_0 is constant, 1 / sqrt(pi).
     """
     nodes, shares = np.polynomial.legendre.leggauss(order + 1)
     z = torch.from_numpy(nodes / 2 + 0.5)

@@ -14,16 +14,18 @@ from torch import Tensor
 
 from ptt.ops.sphere import LatLong
 
+_MIDPOINTS = 32  # of the coverage by a cap across each row of texels
+
 
 def surrounded(texels: Tensor) -> Tensor:
-    """Texels (h, w, ...) with one more all around: the next ones across the poles and around in u."""
+    """Texels (h + 2, w + 2, ...) of a map (h, w, ...) and of those next to it, across the poles and around in u."""
     half = texels.shape[1] // 2
     texels = torch.cat((texels[:1].roll(half, 1), texels, texels[-1:].roll(half, 1)))
     return torch.cat((texels[:, -1:], texels, texels[:, :1]), dim=1)
 
 
 def texel_means(texels: Tensor) -> Tensor:
-    """Mean over each texel (h, w) of the bilinear interpolant: weights 1/8, 3/4, 1/8 along each axis."""
+    """Mean over each texel (h, w) of the bilinear interpolant: its weights are 1/8, 3/4, 1/8 along each axis."""
     t = surrounded(texels)
     t = (t[:-2] + 6 * t[1:-1] + t[2:]) / 8
     return (t[:, :-2] + 6 * t[:, 1:-1] + t[:, 2:]) / 8
@@ -45,9 +47,14 @@ def texel_weights(height: int, width: int) -> Tensor:
 def halving(height: int) -> Tensor:
     """Averages of rows (height / 2, height) that preserve constants and the interpolant's integral.
 
-    Rows as intervals of accumulated weight: each new row takes from the old ones that its interval overlaps.
+    Rows are intervals of accumulated weight: each new row averages the old ones that its interval overlaps.
     """
-    new, old = (F.pad(texel_weights(h, h).cumsum(0) * h, (1, 0)) for h in (height // 2, height))
+
+    def ends(h: int) -> Tensor:
+        return F.pad(texel_weights(h, h).cumsum(0) * h, (1, 0))
+
+    new = ends(height // 2)
+    old = ends(height)
     upper = torch.minimum(new[1:, None], old[1:])
     lower = torch.maximum(new[:-1, None], old[:-1])
     return (upper - lower).clamp(min=0) / new.diff()[:, None]
@@ -62,7 +69,7 @@ def even_rows(texels: Tensor, arc: float) -> Tensor:
 
 
 def _box(texels: Tensor, widths: Tensor) -> Tensor:
-    """Means (h, w, 3) along rows over `widths` (h,) texels, at least 1 and at most the row."""
+    """Means (h, w, 3) of texels over `widths` (h,) of them along the row, at least 1 and at most all."""
     width = texels.shape[1]
     reach = widths.clamp(1, width)[:, None] / 2
     middle = torch.arange(width).to(reach) + 0.5
@@ -83,7 +90,7 @@ def _cumulated(sums: Tensor, x: Tensor) -> Tensor:
 
 
 def bilinear(image: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Image (h, w, 3) at x, y (...), counted in texels from its upper left corner: (..., 3)."""
+    """Values (..., 3) of an image (h, w, 3) at x, y (...), which count texels from its upper left corner."""
     where = torch.stack((x * (2 / image.shape[1]) - 1, y * (2 / image.shape[0]) - 1), dim=-1)
     values = F.grid_sample(
         image.movedim(-1, 0)[None], where.reshape(1, -1, 1, 2), padding_mode="border", align_corners=False
@@ -95,7 +102,8 @@ def cap(direction: Tensor, radius: float, height: int, width: int) -> Tensor:
     """Coverage of texels (height, width) by a cap of `radius` degrees, scaled so that its integral is the cap's.
 
     On a parallel of polar angle t, a cap at polar angle t0 covers the azimuths within
-    acos((cos radius - cos t cos t0) / (sin t sin t0)) of its own: exact along rows, 32 midpoints across.
+    acos((cos radius - cos t cos t0) / (sin t sin t0)) of its own. The coverage is exact along rows, and by the midpoint
+    rule across them.
     """
     if not 0 < radius <= 180:
         raise ValueError(f"radius must satisfy 0 < radius <= 180 degrees, got {radius}")
@@ -104,8 +112,8 @@ def cap(direction: Tensor, radius: float, height: int, width: int) -> Tensor:
     middle = torch.atan2(torch.hypot(x, z), y)
     azimuth = torch.atan2(x, -z)
     edges = torch.linspace(0, pi, height + 1, dtype=torch.float64).clamp(middle - rho, middle + rho)
-    steps = edges.diff()[:, None] / 32
-    t = edges[:-1, None] + steps * (torch.arange(32, dtype=torch.float64) + 0.5)
+    steps = edges.diff()[:, None] / _MIDPOINTS
+    t = edges[:-1, None] + steps * (torch.arange(_MIDPOINTS, dtype=torch.float64) + 0.5)
     cosine = (cos(rho) - t.cos() * middle.cos()) / (t.sin() * middle.sin()).clamp(min=1e-15)
     arcs = _arc_overlap(cosine.clamp(-1, 1).acos(), azimuth, width)
     covered = (arcs * (steps * t.sin())[..., None]).sum(1) / LatLong(height, width).solid_angles()
@@ -114,7 +122,7 @@ def cap(direction: Tensor, radius: float, height: int, width: int) -> Tensor:
 
 
 def _arc_overlap(half: Tensor, azimuth: Tensor, width: int) -> Tensor:
-    """How much of each of `width` columns (..., width) the arcs azimuth +- half (...) cover [radians]."""
+    """The part [radians] of each of `width` columns (..., width) that arcs azimuth +- half (...) cover."""
     edges = torch.arange(width + 1, dtype=torch.float64) * (2 * pi / width) - azimuth
     turns = (edges / (2 * pi)).round()
     half = half[..., None]

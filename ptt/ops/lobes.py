@@ -4,11 +4,11 @@
     G_k(t) = exp(-t^2 / (2 s_k^2)) where t <= 3 s_k, else 0;  3 s_k = 7, 14, 21 degrees, and 3.5 for the lobe of "0"
 
 The 0-degree lobe stands for a perfect mirror: it is about as wide as a texel of a 6 x 64 x 64 cube map (1.4 degrees).
-rho_k is a reflectance: between 0 and the albedo of f, it interpolates well where amplitudes would grow without bound,
-towards grazing. The axis a_k is the mirror image of wo, leant in their plane towards the normal or from it, for where
-lobes look cut by the horizon their light comes from above it (`ops.separation`, which finds both).
+rho_k is a reflectance: it lies between 0 and the albedo of f, so it interpolates well towards grazing, where amplitudes
+would grow without bound. The axis a_k is the mirror image of wo, leant towards the normal or from it in the plane of
+the two: near the horizon, which cuts lobes, light comes from above the mirror direction. `ops.separation` finds both.
 
-Tables of rho and of axes hold values for angles of wo to the normal, of rho also for azimuths (`tilts_and_turns`).
+Tables hold rho and the axes for angles of wo to the normal, and rho for azimuths too (`tilts_and_turns`).
 """
 
 from __future__ import annotations
@@ -24,29 +24,31 @@ from ptt.ops import harmonics
 
 ANGLES = (0.0, 7.0, 14.0, 21.0)  # degrees that three standard deviations cover
 MIRROR = 3.5  # degrees that the 0-degree lobe covers
-TINY = 1e-30
-ISOTROPIC = (1, 64)
-ANISOTROPIC = (24, 32)  # azimuths and tilts at which lobes are tabulated
+TINY = 1e-30  # the least divisor, so that none is 0
+ISOTROPIC = (1, 64)  # azimuths and tilts of wo at which the lobes of isotropic BRDFs are tabulated
+ANISOTROPIC = (24, 32)  # the same for other BRDFs
 
 
 def evaluate(reflected: Tensor, axes: Tensor, wi: Tensor, wo: Tensor, angles: Sequence[float] = ANGLES) -> Tensor:
-    """f_s (...) [1/sr] at wi and wo (..., 3), of round lobes; not cut at the horizon.
+    """f_s (...) [1/sr] at wi and wo (..., 3), the sum of round lobes; the horizon does not cut it.
 
-    reflected (k, ...): fractions of the light from wo; axes (2, k, t): a table
+    reflected (k, ...): fractions rho_k of the light from wo
+    axes (2, k, t): table of the axes (`lean`)
     """
     towards = lean(axes, wo)
     value = torch.zeros_like(wi[..., 0] + wo[..., 0])
     for k, (angle, reflectance) in enumerate(zip(angles, reflected, strict=True)):
         axis = towards[..., k, :]
-        value = value + reflectance / response(axis, angle) * gaussian(between(wi, axis), angle)
+        value = value + reflectance / response(axis, angle) * gaussian(angle_between(wi, axis), angle)
     return value
 
 
 def lean(axes: Tensor, wo: Tensor) -> Tensor:
     """Axes a_k (..., k, 3), about unit, for directions wo (..., 3): (-along x, -along y, up).
 
-    axes (2, k, t): along and up; (1, cos) of wo's tilt is the mirror direction. Below the horizon, those of the mirror
-    image of wo above it
+    axes (2, k, t): along and up by the tilt of wo; 1 and the cosine of that tilt give the mirror direction
+
+    A direction below the horizon has the axes of its mirror image above.
     """
     index, weights = corners(wo, 1, axes.shape[2])
     along, up = (axes.to(wo)[:, :, index] * weights).sum(-1).movedim(1, -1)  # shape: (..., k)
@@ -54,7 +56,7 @@ def lean(axes: Tensor, wo: Tensor) -> Tensor:
 
 
 def tilts_and_turns(isotropic: bool) -> Tensor:
-    """Outgoing directions (p, t, 3) of a table: azimuths, one of an isotropic BRDF, by angles to the normal."""
+    """Outgoing directions (p, t, 3) of a table: p azimuths (one for an isotropic BRDF) by t angles to the normal."""
     p, t = ISOTROPIC if isotropic else ANISOTROPIC
     phi = torch.arange(p, dtype=torch.float64) * (2 * math.pi / p)
     theta = (torch.arange(t, dtype=torch.float64) + 0.5) * (math.pi / 2 / t)
@@ -69,9 +71,9 @@ def lookup(table: Tensor, wo: Tensor) -> Tensor:
 
 
 def corners(wo: Tensor, turns: int, tilts: int) -> tuple[Tensor, Tensor]:
-    """Cells (..., j) int64, of a flat table over `tilts_and_turns`, and bilinear weights (..., j) at wo (..., 3).
+    """Cells (..., j) int64 of a flat table over `tilts_and_turns`, and their bilinear weights (..., j) at wo (..., 3).
 
-    Below the horizon, those of the mirror image above it.
+    A direction below the horizon has the cells of its mirror image above.
     """
     angle = torch.atan2(wo[..., :2].square().sum(-1).sqrt(), wo[..., 2].abs())
     tilt = (angle * (2 * tilts / math.pi) - 0.5).clamp(0, tilts - 1)
@@ -83,14 +85,14 @@ def corners(wo: Tensor, turns: int, tilts: int) -> tuple[Tensor, Tensor]:
         return index, weights
     turn = torch.atan2(wo[..., 1], wo[..., 0]) * (turns / (2 * math.pi)) % turns
     j = turn.floor()
-    b = (turn - turn.floor())[..., None]
+    b = (turn - j)[..., None]
     row = tilts * (j.long() % turns)[..., None]
     after = tilts * ((j.long() + 1) % turns)[..., None]
     return torch.cat((row + index, after + index), -1), torch.cat((weights * (1 - b), weights * b), -1)
 
 
 def gaussian(angle: Tensor, lobe: float) -> Tensor:
-    """G_k at angles (...) [rad] from its axis; lobe: k in degrees."""
+    """G_k at angles (...) [rad] from its axis; lobe: the degrees that it covers."""
     x = angle / sigma(lobe)
     return torch.exp(-x * x / 2) * (x <= 3)
 
@@ -102,14 +104,14 @@ def sigma(lobe: float) -> float:
 
 @cache
 def integral(lobe: float) -> float:
-    """Of G_k over directions [sr]."""
+    """The integral of G_k over directions [sr]."""
     t = torch.linspace(0, 3 * sigma(lobe), 1001, dtype=torch.float64)
     return float(torch.trapezoid(2 * math.pi * t.sin() * gaussian(t, lobe), t))
 
 
 @cache
 def zonal(lobe: float, order: int) -> Tensor:
-    """What G_k leaves of harmonics (order,) of each degree: the mean of P_l(cos t) under G_k; 1 of a perfect mirror."""
+    """Factors (order,) by which G_k scales harmonics of each degree: means of P_l(cos t) under it; 1 for a mirror."""
     if lobe == 0:
         return torch.ones(order, dtype=torch.float64)
     t = torch.linspace(0, 3 * sigma(lobe), 1001, dtype=torch.float64)
@@ -119,7 +121,7 @@ def zonal(lobe: float, order: int) -> Tensor:
 
 
 def response(axis: Tensor, lobe: float) -> Tensor:
-    """Integral (...) of G_k cos(th_i) over the hemisphere [sr] about axes (..., 3); of 0 degrees, a mirror's."""
+    """Integrals (...) [sr] of G_k cos(th_i) over the hemisphere about axes (..., 3); at 0 degrees those of a mirror."""
     if lobe == 0:
         return integral(0.0) * axis[..., 2].clamp(min=TINY)
     return lookup(_responses(lobe).to(axis), axis)[0]
@@ -127,7 +129,7 @@ def response(axis: Tensor, lobe: float) -> Tensor:
 
 @cache
 def _responses(lobe: float, tilts: int = 512, rings: int = 128, turns: int = 128) -> Tensor:
-    """Table (1, 1, tilts) of `response`."""
+    """Table (1, 1, tilts) of `response` over angles of the axis to the normal."""
     theta = (torch.arange(tilts, dtype=torch.float64) + 0.5) * (math.pi / 2 / tilts)
     t = (torch.arange(rings, dtype=torch.float64) + 0.5) * (3 * sigma(lobe) / rings)
     phi = (torch.arange(turns, dtype=torch.float64) + 0.5) * (2 * math.pi / turns)
@@ -143,9 +145,9 @@ def mirror(wo: Tensor) -> Tensor:
 
 def from_mirror(wi: Tensor, wo: Tensor) -> Tensor:
     """Angle (...) [rad] between wi and the mirror image of wo, exact also where it is small."""
-    return between(wi, mirror(wo))
+    return angle_between(wi, mirror(wo))
 
 
-def between(a: Tensor, b: Tensor) -> Tensor:
+def angle_between(a: Tensor, b: Tensor) -> Tensor:
     """Angle (...) [rad] between directions (..., 3), exact also where it is small."""
     return torch.atan2(torch.linalg.cross(*torch.broadcast_tensors(a, b)).norm(dim=-1), (a * b).sum(-1))

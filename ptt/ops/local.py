@@ -16,28 +16,31 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from ptt.ops.geodesic import FINEST, ROOTS, Geodesic
+from ptt.ops.geodesic import FINEST_LEVEL, ROOTS, Geodesic
 from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.raycast import Surface
 
-BYTE = 255
-MIDDLE = 1e-9  # of the sphere: nearer, a direction is its own mirror image
-_RAYS = 1 << 20  # a block
-_VALUES = 1 << 18  # BRDF values at once: what fits the cache
+BYTE = 255  # stands for a triangle that is seen whole
+ROUNDING = 1e-9  # a coordinate this little below 0 counts as 0, so that the planes between mirror images are kept
+_RAYS_AT_ONCE = 1 << 20
+_VALUES_AT_ONCE = 1 << 18  # of the BRDF: 1 MB, which stays in the cache
 
 
 def visibility(surface: Surface, points: Tensor, frames: Tensor, grid: Geodesic, samples: int = 2) -> Tensor:
-    """How much of each triangle every point sees (v, n) uint8, of 255.
+    """The share of each triangle that every point sees (v, n) uint8, in 255ths.
 
-    points (v, 3), frames (v, 3, 3): of the points that look
-    samples: along the edge of a triangle, a power of two; a ray each. What is at or below the horizon counts as hidden
+    points (v, 3), frames (v, 3, 3): positions and rows tangent, bitangent, normal of the points that look
+    samples: rays along the edge of a triangle, a power of two
+
+    What lies at or below the horizon counts as hidden.
     """
     local = grid.samples(samples).float()
     above = (local[:, 2] > 0).nonzero()[:, 0]
     owner = above // samples**2
     origins = surface.offset(points, frames[:, 2])
+    step = max(1, _RAYS_AT_ONCE // len(above))
     parts = []
-    for start, frame in zip(*(x.split(max(1, _RAYS // len(above))) for x in (origins, frames.float())), strict=True):
+    for start, frame in zip(origins.split(step), frames.float().split(step), strict=True):
         directions = (local[above] @ frame).flatten(0, 1)
         hidden = surface.occluded(start.repeat_interleave(len(above), 0), directions).reshape(len(start), -1)
         seen = torch.zeros(len(start), grid.cells).index_add_(1, owner, 1 - hidden.float())
@@ -48,10 +51,10 @@ def visibility(surface: Surface, points: Tensor, frames: Tensor, grid: Geodesic,
 def brdf(f: Callable[[Tensor, Tensor], Tensor], grid: Geodesic, wo: Tensor, samples: int = 4) -> Tensor:
     """F (o, n), float32, of a BRDF f(wi, wo) for directions of view (o, 3).
 
-    samples: along the edge of a triangle, a power of two, of the midpoint rule
+    samples: points of the midpoint rule along the edge of a triangle, a power of two
 
     Raises:
-        ValueError: the BRDF returns what is not finite.
+        ValueError: the BRDF returns a value that is not finite.
     """
     fine = grid.refine(samples)
     wi = fine.directions()
@@ -61,7 +64,7 @@ def brdf(f: Callable[[Tensor, Tensor], Tensor], grid: Geodesic, wo: Tensor, samp
     weight = cosine[above].float()
     owner = above.nonzero()[:, 0] // samples**2
     parts = []
-    for some in wo.float().split(max(1, _VALUES // len(wi))):
+    for some in wo.float().split(max(1, _VALUES_AT_ONCE // len(wi))):
         values = f(wi, some[:, None]) * weight
         if not bool(values.isfinite().all()):
             raise ValueError("the BRDF must be finite")
@@ -74,22 +77,23 @@ def brdf_table(
 ) -> Tensor:
     """F (views^2, n) of a BRDF for all directions of `HemiOctahedral(views)`.
 
-    mirrored: f is its own mirror image in x and in y, as the grid's triangles are: only a quarter of it is sampled
+    mirrored: says that f is its own mirror image in x and in y, as the grid is; then only a quarter of it is sampled
     """
     wo = HemiOctahedral(views).directions().reshape(-1, 3)
     if not mirrored:
         return brdf(f, grid, wo, samples)
-    quarter = ((wo[:, 0] > -MIDDLE) & (wo[:, 1] > -MIDDLE)).nonzero()[:, 0]
+    quarter = ((wo[:, 0] > -ROUNDING) & (wo[:, 1] > -ROUNDING)).nonzero()[:, 0]
     found = brdf(f, grid, wo[quarter], samples)
     table = torch.empty(len(wo), grid.cells)
     for x, y in ((1, 1), (-1, 1), (1, -1), (-1, -1)):
         flip = torch.tensor([x, y, 1], dtype=torch.float64)
-        table[HemiOctahedral(views).cell(wo[quarter] * flip)] = found[:, grid.cell(grid.directions() * flip)]
+        rows = HemiOctahedral(views).cell(wo[quarter] * flip)
+        table[rows] = found[:, grid.cell(grid.directions() * flip)]
     return table
 
 
 def cosine(grid: Geodesic) -> Tensor:
-    """F (n,) of Lambert's BRDF, 1 / pi."""
-    samples = 1 << min(3, FINEST - grid.level)
+    """F (n,) of Lambert's BRDF, 1 / pi: the cosine and the solid angle alone."""
+    samples = 1 << min(3, FINEST_LEVEL - grid.level)
     up = torch.tensor([[0.0, 0.0, 1.0]])
     return brdf(lambda wi, wo: torch.full_like(wi[..., 0] * wo[..., 0], 1 / math.pi), grid, up, samples)[0]

@@ -1,4 +1,4 @@
-"""Memory for tensors that are read here and there."""
+"""Memory for tensors that are read at scattered places."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ PAGE = 2**21  # bytes of a large page
 
 
 def in_large_pages(tensor: Tensor) -> Tensor:
-    """A copy in large pages, where scattered reads are a tenth faster; the tensor itself where there are none.
+    """A copy of the tensor in large pages, from which scattered reads are a tenth faster.
 
-    Linux has them; tensors of less than a page or on another device stay where they are.
+    Linux alone has such pages. Elsewhere, on other devices and below the size of a page the tensor itself comes back.
     """
     size = tensor.numel() * tensor.element_size()
     if size < PAGE or tensor.device.type != "cpu" or not hasattr(mmap, "MADV_HUGEPAGE"):

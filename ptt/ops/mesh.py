@@ -11,8 +11,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-FLAT = 1e-10  # of a triangle's longest edge squared: twice the area below which it has no direction
-CANCELLED = 1e-6  # length below which a sum of unit vectors has no direction
+FLAT = 1e-10  # a triangle has no direction where its doubled area is less than this share of its longest edge squared
+CANCELLED = 1e-6  # a sum of unit vectors that is shorter has no direction
 
 
 def check_mesh(vertices: Tensor, faces: Tensor) -> None:
@@ -59,7 +59,7 @@ def corner_angles(vertices: Tensor, faces: Tensor) -> Tensor:
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
-    """Unit normals (v, 3), float64: the faces' weighted by their angle at the vertex.
+    """Unit normals (v, 3), float64: sums of the faces' normals, weighted by the faces' angles at the vertex.
 
     Zero where no face gives a direction: vertices outside every sound face, or amid faces that cancel.
 
@@ -70,7 +70,7 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
 
 def fill_normals(vertices: Tensor, normals: Tensor) -> Tensor:
-    """Normals (v, 3) with each zero row replaced by that of the nearest vertex that has one.
+    """Normals (v, 3) in which each zero row is replaced by the normal of the nearest vertex that has one.
 
     Raises:
         ValueError: no vertex has a normal.
@@ -92,7 +92,7 @@ def tangents(vertices: Tensor, faces: Tensor, normals: Tensor, uv: Tensor | None
     """Unit tangents (v, 3), float64, orthogonal to the unit normals (v, 3).
 
     uv (v, 2): the tangent follows increasing u where the faces around the vertex give it a direction.
-    Elsewhere it is the level one, (0, 1, 0) x normal, and +x where the normal is vertical.
+    Elsewhere the tangent is level, (0, 1, 0) x normal, or +x where the normal is vertical.
     """
     normals = normals.double()
     up = normals.new_tensor([0.0, 1.0, 0.0]).expand_as(normals)
@@ -104,18 +104,21 @@ def tangents(vertices: Tensor, faces: Tensor, normals: Tensor, uv: Tensor | None
     return _unit(_across(level, normals))
 
 
-def frames(normals: Tensor, tangents: Tensor, across: Callable[[Tensor], Tensor]) -> tuple[Tensor, int]:
+def frames(normals: Tensor, tangents: Tensor, substitute: Callable[[Tensor], Tensor]) -> tuple[Tensor, int]:
     """Orthonormal frames (n, 3, 3), rows tangent, bitangent, normal, of interpolated normals and tangents (n, 3).
 
-    across: unit normals (k, 3) of some rows (k,), those whose normals are zero, as where a vertex' neighbours look to
-        opposite sides
+    substitute: gives unit normals (k, 3) for the rows (k,) whose normals are zero, as they are between vertices that
+        look to opposite sides
 
-    A tangent that is parallel to its normal is replaced by another; the number counts what was repaired of both.
+    A tangent that is parallel to its normal is replaced by another. The number counts the frames that were repaired.
     """
     flat = (normals.norm(dim=1) < CANCELLED).nonzero()[:, 0]
-    n = _unit(normals.index_copy(0, flat, across(flat).to(normals)) if len(flat) else normals)
+    if len(flat):
+        normals = normals.index_copy(0, flat, substitute(flat).to(normals))
+    n = _unit(normals)
     t = _across(tangents, n)
-    along = (t.norm(dim=1) < CANCELLED * tangents.norm(dim=1).clamp(min=CANCELLED)).nonzero()[:, 0]
+    shortest = CANCELLED * tangents.norm(dim=1).clamp(min=CANCELLED)
+    along = (t.norm(dim=1) < shortest).nonzero()[:, 0]
     if len(along):
         smallest = torch.nn.functional.one_hot(n[along].abs().argmin(1), 3).to(n)
         t = t.index_copy(0, along, _across(smallest, n[along]))
@@ -124,11 +127,11 @@ def frames(normals: Tensor, tangents: Tensor, across: Callable[[Tensor], Tensor]
 
 
 def _u_directions(vertices: Tensor, faces: Tensor, uv: Tensor) -> Tensor:
-    """(v, 3): the unit directions in which u grows on the faces, weighted by their angle at the vertex."""
+    """Directions (v, 3), not unit, in which u grows: sums over faces, weighted by the faces' angles at the vertex."""
     a, b, c = vertices.double()[faces].unbind(1)
     s, t, r = uv.double()[faces].unbind(1)
-    (du1, dv1) = (t - s).unbind(-1)
-    (du2, dv2) = (r - s).unbind(-1)
+    du1, dv1 = (t - s).unbind(-1)
+    du2, dv2 = (r - s).unbind(-1)
     area = du1 * dv2 - du2 * dv1
     direction = ((b - a) * dv2[:, None] - (c - a) * dv1[:, None]) * area.sign()[:, None]
     angles = corner_angles(vertices, faces)[..., None]
@@ -136,7 +139,7 @@ def _u_directions(vertices: Tensor, faces: Tensor, uv: Tensor) -> Tensor:
 
 
 def inset(vertices: Tensor, faces: Tensor, normals: Tensor, share: float) -> Tensor:
-    """Vertices (v, 3) moved along the surface, by a share of the way to the mean centre of their triangles (f, 3)."""
+    """Vertices (v, 3) moved along the surface by a share of their way to the mean of their triangles' centres."""
     centres = vertices[faces].mean(1, keepdim=True).expand(-1, 3, -1)
     counts = torch.bincount(faces.flatten(), minlength=len(vertices))[:, None]
     ahead = _scatter(centres, faces, len(vertices)) / counts.clamp(min=1) - vertices
@@ -149,27 +152,28 @@ def _scatter(values: Tensor, faces: Tensor, count: int) -> Tensor:
 
 
 def _across(vectors: Tensor, normals: Tensor) -> Tensor:
+    """The part of vectors (..., 3) at right angles to unit normals (..., 3)."""
     return vectors - (vectors * normals).sum(-1, keepdim=True) * normals
 
 
 def _unit(vectors: Tensor, shortest: float = CANCELLED) -> Tensor:
-    """Vectors of length 1; zero where they were not longer than `shortest`."""
+    """Vectors (..., 3) scaled to length 1; zero where they are not longer than `shortest`."""
     length = vectors.norm(dim=-1, keepdim=True)
     return torch.where(length > shortest, vectors / length.clamp(min=1e-300), 0.0)
 
 
 def weld(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Join vertices at the same position: vertices (w, 3), faces (f, 3), the new index of each old (v,)."""
+    """Join vertices at the same position: vertices (w, 3), faces (f, 3), the new index (v,) of each old vertex."""
     joined, index = torch.unique(vertices, dim=0, return_inverse=True)
     return joined, index[faces], index
 
 
 def subdivide(faces: Tensor, count: int, cut: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """Cut triangles at the middles of their edges: of all of them, each triangle in four, or of some.
+    """Cut triangles at the middles of their edges: all edges, which makes four triangles of each, or some.
 
     faces (f, 3) of a mesh with `count` vertices -> faces (g, 3), edges (e, 2). The new vertex count + i is
     the middle of edges[i]; faces that share an edge share its middle. Winding is kept.
-    cut (f, 3) bool: which edges, the first from corner 0 to corner 1; faces that share one must agree
+    cut (f, 3) bool: says which edges are cut, the first from corner 0 to corner 1; faces that share one must agree
     """
     cut = torch.ones_like(faces, dtype=torch.bool) if cut is None else cut
     pairs = torch.stack([faces, faces.roll(-1, 1)], -1).sort(-1).values  # shape: (f, 3, 2)
@@ -178,21 +182,26 @@ def subdivide(faces: Tensor, count: int, cut: Tensor | None = None) -> tuple[Ten
     middles[cut] = index + count
     finer = []
     cuts = cut.sum(1)
-    # of faces with so many cuts, turned so that these come first: corners a, b, c and middles ab, bc, ca as 0 to 5
-    for number, corners in enumerate(([0, 1, 2], [0, 3, 2, 3, 1, 2], [3, 1, 4, 0, 3, 4, 0, 4, 2], _IN_FOUR)):
+    for number, pieces in enumerate(_PIECES):
         own = cuts == number
+        # the cut edges come first: a single one, or those after the edge that is whole
         first = cut[own].int().argmax(1) if number == 1 else (~cut[own]).int().argmax(1) + 1
         around = (first[:, None] + torch.arange(3)) % 3
-        six = torch.cat([x[own].gather(1, around) for x in (faces, middles)], 1)
-        finer.append(six[:, corners].reshape(-1, 3))
+        six = torch.cat((faces[own].gather(1, around), middles[own].gather(1, around)), 1)
+        finer.append(six[:, pieces].reshape(-1, 3))
     return torch.cat(finer), edges
 
 
-_IN_FOUR = [0, 3, 5, 3, 1, 4, 5, 4, 2, 3, 4, 5]
+_PIECES = (  # of a triangle with 0, 1, 2, 3 cut edges: corners are 0, 1, 2, the middles of the edges after them 3, 4, 5
+    [0, 1, 2],
+    [0, 3, 2, 3, 1, 2],
+    [3, 1, 4, 0, 3, 4, 0, 4, 2],
+    [0, 3, 5, 3, 1, 4, 5, 4, 2, 3, 4, 5],
+)
 
 
 def sample_texture(texture: Tensor, uv: Tensor) -> Tensor:
-    """Bilinear lookup (n, c) in texture (h, w, c) at uv (n, 2), repeating; differentiable in the texture.
+    """Bilinear values (n, c) of a texture (h, w, c), which repeats, at uv (n, 2); differentiable in the texture.
 
     u grows with the column, v against the row (v = 1 is the top of row 0); texel centres lie at half texels.
     """
@@ -212,7 +221,7 @@ def sample_texture(texture: Tensor, uv: Tensor) -> Tensor:
 
 
 def plane_mesh(size: float = 1.0, cells: int = 1) -> tuple[Tensor, Tensor]:
-    """A level square of `size` x `size` about the origin, facing +y: vertices ((cells + 1)^2, 3), faces."""
+    """A level square of `size` x `size` about the origin, facing +y: vertices ((cells + 1)^2, 3), faces (f, 3)."""
     ticks = torch.linspace(-size / 2, size / 2, cells + 1, dtype=torch.float64)
     z, x = torch.meshgrid(ticks, ticks, indexing="ij")
     vertices = torch.stack([x, torch.zeros_like(x), z], -1).reshape(-1, 3)
@@ -221,7 +230,7 @@ def plane_mesh(size: float = 1.0, cells: int = 1) -> tuple[Tensor, Tensor]:
 
 
 def box_mesh(size: tuple[float, float, float] = (1.0, 1.0, 1.0), cells: int = 1) -> tuple[Tensor, Tensor]:
-    """A box about the origin, facing outwards; each side a grid of its own, so that edges are sharp."""
+    """A box about the origin, facing outwards; each side is a grid of its own, so that edges are sharp."""
     grid, faces = plane_mesh(1.0, cells)
     x = grid[:, 0]
     z = grid[:, 2]

@@ -37,17 +37,20 @@ from ptt.ops.sphere import (
     unit,
 )
 
-TILE = 4  # cells along the edge of a tile
+TILE = 4  # cells along the edge of a tile: 16 cells of 4 bytes fill a cache line
 
 
 def octahedral(d: Tensor) -> Tensor:
-    """Coordinates (a, b) (..., 2) on the map of the sphere of directions d (..., 3), non-zero, not always unit."""
+    """Coordinates (a, b) (..., 2) on the map of the sphere of directions d (..., 3), which need not be unit."""
     x, y, z = _on_octahedron(d)
     return torch.stack(_folded(x, y, z), dim=-1)
 
 
 def hemi_octahedral(d: Tensor) -> Tensor:
-    """As `octahedral`, on the map of the hemisphere; below the horizon, those of the mirror image above."""
+    """Coordinates (a, b) (..., 2) on the map of the hemisphere of directions d (..., 3), which need not be unit.
+
+    A direction below the horizon has the coordinates of its mirror image above.
+    """
     x, y, _ = _on_octahedron(d)
     return torch.stack((x + y, x - y), dim=-1)
 
@@ -55,8 +58,8 @@ def hemi_octahedral(d: Tensor) -> Tensor:
 def corners(ab: Tensor, n: int, wrap: bool) -> tuple[Tensor, Tensor]:
     """Cells (..., 4) int64 and weights (..., 4) of a bilinear lookup at ab (..., 2) in a flat table (n * n, ...).
 
-    Beyond an edge of the square the table is that of the edge's cells: mirrored about the middle of the edge,
-    as an `Octahedral` map goes on, with `wrap`; repeated, as fits a `HemiOctahedral` map, without.
+    wrap: beyond an edge of the square lie the edge's cells, mirrored about its middle, as an `Octahedral` map goes on;
+        without, they are repeated, as fits a `HemiOctahedral` map
     """
     position = (ab + 1) * (n / 2) - 0.5
     first = position.floor()
@@ -69,9 +72,9 @@ def corners(ab: Tensor, n: int, wrap: bool) -> tuple[Tensor, Tensor]:
 
 
 def bordered(table: Tensor) -> Tensor:
-    """A flat table (n * n, ...) of an `Octahedral` map with the cells around it: ((n + 2) ** 2, ...).
+    """The flat table (n * n, ...) of an `Octahedral` map with a border of the cells around it: ((n + 2) ** 2, ...).
 
-    A lookup then needs no `wrap`, and takes the four corners side by side: `corners(ab * n / (n + 2), n + 2, False)`.
+    A lookup in it needs no `wrap`, and takes the four corners side by side: `corners(ab * n / (n + 2), n + 2, False)`.
     """
     n = round(len(table) ** 0.5)
     around = torch.arange(-1, n + 1, device=table.device)
@@ -79,7 +82,7 @@ def bordered(table: Tensor) -> Tensor:
 
 
 def _index(rows: Tensor, columns: Tensor, n: int, wrap: bool) -> Tensor:
-    """Flat cells of rows and columns, which may lie beyond an edge."""
+    """Numbers of the cells at rows and columns, which may lie beyond an edge."""
     if wrap:
         columns = torch.where((rows < 0) | (rows >= n), n - 1 - columns, columns)
         rows = torch.where((columns < 0) | (columns >= n), n - 1 - rows, rows)
@@ -87,11 +90,11 @@ def _index(rows: Tensor, columns: Tensor, n: int, wrap: bool) -> Tensor:
 
 
 @dataclass(frozen=True)
-class _Unfolded(Squares):
+class _OctahedralGrid(Squares):
     """n x n cells on the square of a chart that is linear on each face; folds are edges or diagonals of cells."""
 
     n: int
-    _scale: ClassVar[float]  # area in the plane of x and y of a piece of a face, by its area in the square
+    _scale: ClassVar[float]  # the area of a piece of a face in the plane of x and y over its area in the square
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -105,22 +108,22 @@ class _Unfolded(Squares):
         """(a, b) (..., 2) of directions (..., 3)."""
 
     @abstractmethod
-    def _points(self, b: Tensor, a: Tensor) -> Tensor:
-        """Points (..., 3) of the octahedron, the inverse of `_chart`."""
+    def _octahedron_points(self, b: Tensor, a: Tensor) -> Tensor:
+        """Points (..., 3) of the octahedron at (a, b): the inverse of `_chart`."""
 
     def cell(self, directions: Tensor) -> Tensor:
         a, b = self._chart(checked_directions(directions)).unbind(-1)
         return step_index((b + 1) / 2, self.n) * self.n + step_index((a + 1) / 2, self.n)
 
-    def _directions(self, rows: Tensor, columns: Tensor) -> Tensor:
-        return unit(self._points(*crossed(2 * centres(rows) - 1, 2 * centres(columns) - 1)))
+    def _cell_directions(self, rows: Tensor, columns: Tensor) -> Tensor:
+        return unit(self._octahedron_points(*crossed(2 * centres(rows) - 1, 2 * centres(columns) - 1)))
 
-    def _solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
+    def _cell_solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
         # both diagonals cut a cell in four triangles, none of which has a fold inside
         b = 2 * rows - 1
         a = 2 * columns - 1
-        corner = self._points(*crossed(b, a))
-        centre = self._points(*crossed(centres(b), centres(a)))
+        corner = self._octahedron_points(*crossed(b, a))
+        centre = self._octahedron_points(*crossed(centres(b), centres(a)))
         around = corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]
         # p . (q x r) is twice a triangle's area in the plane of x and y, as |x| + |y| + |z| = 1: no cancellation
         volume = self._scale / 2 * b.diff()[:, None] * a.diff()
@@ -129,7 +132,7 @@ class _Unfolded(Squares):
 
 
 @dataclass(frozen=True)
-class Octahedral(_Unfolded):
+class Octahedral(_OctahedralGrid):
     """The sphere, n even: +z at the centre of the square, -z at its corners, z = 0 on |a| + |b| = 1.
 
     The inner diamond holds the directions (a, b, 1 - |a| - |b|). The outer triangles are the lower faces, folded
@@ -145,13 +148,13 @@ class Octahedral(_Unfolded):
     def _chart(self, d: Tensor) -> Tensor:
         return octahedral(d)
 
-    def _points(self, b: Tensor, a: Tensor) -> Tensor:
+    def _octahedron_points(self, b: Tensor, a: Tensor) -> Tensor:
         z = 1 - a.abs() - b.abs()
         return torch.stack((*_folded(a, b, z), z), dim=-1)
 
 
 @dataclass(frozen=True)
-class HemiOctahedral(_Unfolded):
+class HemiOctahedral(_OctahedralGrid):
     """The hemisphere around +z: the horizon on the edges of the square, +x at (a, b) = (1, 1), +y at (1, -1).
 
     With x = (a + b) / 2 and y = (a - b) / 2, (a, b) holds the direction (x, y, 1 - |x| - |y|). `cell` takes a
@@ -166,19 +169,20 @@ class HemiOctahedral(_Unfolded):
     def _chart(self, d: Tensor) -> Tensor:
         return hemi_octahedral(d)
 
-    def _points(self, b: Tensor, a: Tensor) -> Tensor:
+    def _octahedron_points(self, b: Tensor, a: Tensor) -> Tensor:
         x = (a + b) / 2
         y = (a - b) / 2
         return torch.stack((x, y, 1 - x.abs() - y.abs()), dim=-1)
 
 
 def _on_octahedron(d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """x, y, z (...) of directions (..., 3) projected to |x| + |y| + |z| = 1."""
     x, y, z = (d / d.abs().sum(-1, keepdim=True)).unbind(-1)
     return x, y, z
 
 
 def _folded(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
-    """(x, y), turned about the diamond's side |x| + |y| = 1 where z < 0; its own inverse."""
+    """x and y (...), reflected about the diamond's side |x| + |y| = 1 where z < 0; the function is its own inverse."""
     turned_x = (1 - y.abs()).copysign(x)
     turned_y = (1 - x.abs()).copysign(y)
     return torch.where(z < 0, turned_x, x), torch.where(z < 0, turned_y, y)
@@ -190,7 +194,7 @@ def mix(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:
 
 
 def tiles(n: int) -> Tensor:
-    """Where the cells (n * n,) of a grid lie in tiles of TILE x TILE: the corners of a lookup then share a tile often.
+    """The places (n * n,) of a grid's cells in tiles of TILE x TILE: the corners of a lookup then often share a tile.
 
     Raises:
         ValueError: n is no multiple of TILE.

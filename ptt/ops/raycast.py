@@ -16,8 +16,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-CHUNK = 1 << 17  # rays a task: 3 MB of origins and directions
-OFFSET = 1e-5  # of the scene's radius: self-hits vanish from 1e-6 on
+RAYS_PER_TASK = 1 << 17  # 3 MB of origins and directions
+OFFSET = (
+    1e-5  # origins leave the surface by this share of the scene's radius; on a unit sphere 1e-6 ended all self-hits
+)
 
 
 class Hits(NamedTuple):
@@ -26,7 +28,7 @@ class Hits(NamedTuple):
     triangle (n,): index of the face hit, -1 for a miss
     barycentric (n, 3): weights of the face's three vertices, 0 for a miss
     distance (n,): in units of the ray direction's length, inf for a miss
-    front (n,): True where the side hit is the one its vertices turn counter-clockwise on
+    front (n,): True where the ray meets the side on which the vertices turn counter-clockwise
     """
 
     triangle: Tensor
@@ -60,7 +62,7 @@ class Surface:
         return points.double() + normals.double() * (OFFSET * self.radius)
 
     def occluded(self, origins: Tensor, directions: Tensor) -> Tensor:
-        """Whether anything lies along each ray: (n, 3), (n, 3) -> (n,) bool. Origins are used as they are."""
+        """Tell whether anything lies along each ray: (n, 3), (n, 3) -> (n,) bool. Origins are used as they are."""
 
         def query(o: np.ndarray, d: np.ndarray) -> Any:
             return self._embree.run(o, d, query="OCCLUDED") == 0
@@ -75,24 +77,29 @@ class Surface:
             return self._embree.run(o, d, output=True)
 
         parts = self._chunks(query, origins, directions) or [query(*np.zeros((2, 0, 3), np.float32))]
-        hit = {k: torch.from_numpy(np.concatenate([p[k] for p in parts])) for k in ("primID", "u", "v", "tfar", "Ng")}
-        triangle = hit["primID"].long()
+
+        def joined(field: str) -> Tensor:
+            return torch.from_numpy(np.concatenate([part[field] for part in parts]))
+
+        triangle = joined("primID").long()
         miss = triangle < 0
-        u = hit["u"]
-        v = hit["v"]
+        u = joined("u")
+        v = joined("v")
         barycentric = torch.stack([1 - u - v, u, v], -1).masked_fill(miss[:, None], 0.0)
-        distance = (hit["tfar"].double() * self.radius).float().masked_fill(miss, torch.inf)
+        distance = (joined("tfar").double() * self.radius).float().masked_fill(miss, torch.inf)
         # embreex gives Ng = (v1 - v0) x (v2 - v0): against the ray where it meets the counter-clockwise side.
-        front = ((hit["Ng"] * directions.cpu().float()).sum(-1) < 0) & ~miss
+        front = ((joined("Ng") * directions.cpu().float()).sum(-1) < 0) & ~miss
         return Hits(triangle, barycentric, distance, front)
 
     def _chunks(self, query: Callable[..., Any], origins: Tensor, directions: Tensor) -> list[Any]:
+        """What a query finds for each task's rays, on all cores."""
+
         def run(start: int) -> Any:
-            o = (origins[start : start + CHUNK].double() - self.centre) / self.radius
-            d = directions[start : start + CHUNK].float()
+            o = (origins[start : start + RAYS_PER_TASK].double() - self.centre) / self.radius
+            d = directions[start : start + RAYS_PER_TASK].float()
             return query(o.float().contiguous().numpy(), d.contiguous().numpy())
 
-        starts = range(0, len(origins), CHUNK)
+        starts = range(0, len(origins), RAYS_PER_TASK)
         with ThreadPoolExecutor(self.threads) as pool:
             return list(pool.map(run, starts))
 

@@ -12,8 +12,8 @@ from torch import Tensor
 class Simplices:
     """Points (h, d) float64, d = 1 or 2, triangulated (Delaunay); a single point stands for everything.
 
-    All pairs of some values per axis are a grid, bilinear between: a triangle would take what one axis does from one
-    side of the other, now from this side and now from that.
+    Points that are all pairs of some values of either axis form a grid, and interpolation between them is bilinear: a
+    triangle would take what one axis does from one side of the other, now from this side and now from that.
 
     Raises:
         ValueError: points of another dimension, none, not finite, one twice, or all of a plane's on one line.
@@ -28,21 +28,26 @@ class Simplices:
         self.points = points.double()
         self._scale = (points.amax(0) - points.amin(0)).double().clamp(min=1e-300)
         axes = [column.unique() for column in self.points.T.contiguous()]
-        self._axes = axes if math.prod(map(len, axes)) == count and (min(map(len, axes)) > 1 or count == 1) else None
+        lengths = [len(axis) for axis in axes]
+        is_grid = math.prod(lengths) == count and (min(lengths) > 1 or count == 1)
+        self._axes = axes if is_grid else None
         if self._axes is None:
-            if int(torch.linalg.matrix_rank((self.points - self.points[0]) / self._scale, rtol=1e-9)) < 2:
-                raise ValueError("points of a plane must not lie on one line")
-            self._triangles = Delaunay((self.points / self._scale).numpy())
-            self._cells = torch.from_numpy(self._triangles.simplices).long()
-            a, *others = self.points[self._cells].unbind(1)
-            self._inverses = torch.linalg.inv(torch.stack([b - a for b in others], 2))
-            self._hull = torch.from_numpy(self._triangles.convex_hull).long()
+            self._triangulate()
+
+    def _triangulate(self) -> None:
+        if int(torch.linalg.matrix_rank((self.points - self.points[0]) / self._scale, rtol=1e-9)) < 2:
+            raise ValueError("points of a plane must not lie on one line")
+        self._triangles = Delaunay((self.points / self._scale).numpy())
+        self._cells = torch.from_numpy(self._triangles.simplices).long()
+        a, *others = self.points[self._cells].unbind(1)
+        self._inverses = torch.linalg.inv(torch.stack([b - a for b in others], 2))
+        self._hull = torch.from_numpy(self._triangles.convex_hull).long()
 
     def weights(self, point: Tensor) -> Tensor:
-        """Weights (h,) float64, >= 0, sum 1, at most 2^d of them not zero, that place the points at a point (d,).
+        """Weights (h,) float64 whose mean of the points is a point (d,): >= 0, sum 1, at most 2^d of them not zero.
 
-        Outside of the hull, those of its nearest point; along each axis, lengths count in parts of the range.
-        Differentiable in the point.
+        A point outside of the hull has the weights of the hull's nearest point, where lengths along each axis count in
+        parts of the points' range. Differentiable in the point.
         """
         point = point.double()
         if self._axes is not None:
@@ -51,19 +56,21 @@ class Simplices:
         return self._on_hull(point) if inside < 0 else self._within(inside, point)
 
     def _on_grid(self, axes: list[Tensor], point: Tensor) -> Tensor:
+        """Bilinear weights (h,)."""
         weights = torch.ones(len(self.points), dtype=torch.float64)
         for axis, column, x in zip(axes, self.points.T.contiguous(), point, strict=True):
             weights = weights * _along(axis, x)[torch.searchsorted(axis, column)]
         return weights
 
     def _within(self, cell: int, point: Tensor) -> Tensor:
+        """Barycentric weights (h,) inside a triangle, by its number."""
         corners = self._cells[cell]
         others = self._inverses[cell] @ (point - self.points[corners[0]])
         weights = torch.cat((1 - others.sum(0, keepdim=True), others)).clamp(min=0)
         return self._scatter(corners, weights / weights.sum())
 
     def _on_hull(self, point: Tensor) -> Tensor:
-        """The nearest point on the hull's edges."""
+        """Weights (h,) of the nearest point on the hull's edges."""
         a, b = (self.points / self._scale)[self._hull].unbind(1)
         point = point / self._scale
         t = (((point - a) * (b - a)).sum(1) / (b - a).square().sum(1)).clamp(0, 1)
@@ -71,11 +78,12 @@ class Simplices:
         return self._scatter(self._hull[nearest], torch.stack((1 - t[nearest], t[nearest])))
 
     def _scatter(self, corners: Tensor, weights: Tensor) -> Tensor:
+        """Weights (h,) of all points from those of some."""
         return torch.zeros(len(self.points), dtype=torch.float64).index_put((corners,), weights)
 
 
 def _along(axis: Tensor, x: Tensor) -> Tensor:
-    """Weights (n,) of ascending values (n,) at x, that of the end beyond it."""
+    """Linear weights (n,) of ascending values (n,) at x; beyond an end, all weight is on it."""
     if len(axis) == 1:
         return torch.ones_like(axis)
     k = torch.searchsorted(axis, x.detach()).clamp(1, len(axis) - 1)

@@ -81,13 +81,13 @@ class Grid(ABC):
 
 
 class Squares(Grid):
-    """Cells row by row; the last two axes of `shape` are rows and columns."""
+    """A grid whose cells lie row by row; the last two axes of `shape` are rows and columns."""
 
     def directions(self) -> Tensor:
-        return self._directions(*self._edges())
+        return self._cell_directions(*self._edges())
 
     def solid_angles(self) -> Tensor:
-        return self._solid_angles(*self._edges())
+        return self._cell_solid_angles(*self._edges())
 
     def coarsen(self, values: Tensor, k: int) -> Tensor:
         expected = self.refine(k).shape
@@ -104,17 +104,19 @@ class Squares(Grid):
         return torch.cat(list(self._strips_of_means(function, k, chunk)), dim=len(self.shape) - 2)
 
     def _strips_of_means(self, function: _Function, k: int, chunk: int) -> Iterator[Tensor]:
+        """`means` of some rows of cells after the other."""
         fine = self.refine(k)
         assert isinstance(fine, Squares)
         rows, columns = fine._edges()
         step = max(1, chunk * self.shape[-2] // (self.cells * k * k))
         for first in range(0, self.shape[-2], step):
             strip = rows[first * k : (first + step) * k + 1]
-            values = function(self._directions(strip.float(), columns.float()))
-            weights = self._solid_angles(strip, columns).to(values).clamp(min=1e-30)[..., None]
+            values = function(self._cell_directions(strip.float(), columns.float()))
+            weights = self._cell_solid_angles(strip, columns).to(values).clamp(min=1e-30)[..., None]
             yield self._block_sums(values * weights, k) / self._block_sums(weights, k)
 
     def _block_sums(self, values: Tensor, k: int) -> Tensor:
+        """Sums of values (faces, rows k, columns k, ...) over the k x k parts of each cell; faces may be missing."""
         lead = len(self.shape) - 2
         rest = values.shape[len(self.shape) :]
         rows = values.shape[lead] // k
@@ -127,12 +129,12 @@ class Squares(Grid):
         return _fractions(rows), _fractions(columns)
 
     @abstractmethod
-    def _directions(self, rows: Tensor, columns: Tensor) -> Tensor:
-        """Centres of the cells between the given edges, (..., len(rows) - 1, len(columns) - 1, 3)."""
+    def _cell_directions(self, rows: Tensor, columns: Tensor) -> Tensor:
+        """Centres (..., len(rows) - 1, len(columns) - 1, 3) of the cells between the given edges, unit."""
 
     @abstractmethod
-    def _solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
-        """Solid angles of the cells between the given edges."""
+    def _cell_solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
+        """Solid angles (..., len(rows) - 1, len(columns) - 1) [sr] of the cells between the given edges."""
 
 
 @dataclass(frozen=True)
@@ -160,11 +162,11 @@ class LatLong(Squares):
         column = (u % 1.0 * self.width).long() % self.width
         return step_index(v, self.height) * self.width + column
 
-    def _directions(self, rows: Tensor, columns: Tensor) -> Tensor:
+    def _cell_directions(self, rows: Tensor, columns: Tensor) -> Tensor:
         theta, phi = crossed(pi * centres(rows), 2 * pi * centres(columns))
         return torch.stack((theta.sin() * phi.sin(), theta.cos(), -theta.sin() * phi.cos()), dim=-1)
 
-    def _solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
+    def _cell_solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
         # cos a - cos b = 2 sin((a + b) / 2) sin((b - a) / 2): no cancellation at the poles
         heights = 2 * torch.sin(pi * centres(rows)) * torch.sin(pi / 2 * rows.diff())
         return heights[:, None] * (2 * pi * columns.diff())
@@ -203,13 +205,13 @@ class Cube(Squares):
         face = 2 * axis + (~positive).long()
         return (face * self.n + step_index((t + 1) / 2, self.n)) * self.n + step_index((s + 1) / 2, self.n)
 
-    def _directions(self, rows: Tensor, columns: Tensor) -> Tensor:
+    def _cell_directions(self, rows: Tensor, columns: Tensor) -> Tensor:
         t, s = crossed(2 * centres(rows) - 1, 2 * centres(columns) - 1)
         one = torch.ones_like(s)
         faces = (one, -t, -s), (-one, -t, s), (s, one, t), (s, -one, -t), (s, -t, one), (-s, -t, -one)
         return unit(torch.stack([torch.stack(face, dim=-1) for face in faces]))
 
-    def _solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
+    def _cell_solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
         b, a = crossed(2 * rows - 1, 2 * columns - 1)
         corner = torch.atan2(a * b, (1 + a * a + b * b).sqrt())
         return _mixed_difference(corner).expand(6, -1, -1)
@@ -238,14 +240,14 @@ class Disk(Squares):
         return Disk(self.n * at_least_one("k", k))
 
     def cell(self, directions: Tensor) -> Tensor:
-        """As `Grid.cell`; a direction below the horizon falls in the cell of its mirror image above."""
+        """The cell (...) of each direction (..., 3), flat; below the horizon, that of the mirror image above."""
         x, y, _ = unit(checked_directions(directions)).unbind(-1)
         return step_index((y + 1) / 2, self.n) * self.n + step_index((x + 1) / 2, self.n)
 
     def coordinates(self, directions: Tensor) -> Tensor:
         """Continuous (row, column) (..., 2) of unit directions (..., 3), for bilinear lookups.
 
-        Cell (i, j) has its centre at (i, j), so they reach from -0.5 to n - 0.5. z is ignored.
+        Cell (i, j) has its centre at (i, j), so coordinates reach from -0.5 to n - 0.5. z is ignored.
         """
         return (directions[..., [1, 0]] + 1) * (self.n / 2) - 0.5
 
@@ -255,9 +257,9 @@ class Disk(Squares):
         return _within_circle(_mixed_difference(_disk_area(*crossed(edges, edges))), edges, edges)
 
     def nearest_inside(self) -> Tensor:
-        """For every cell, the flat index (n * n,) of the nearest one that lies at least half inside of the circle.
+        """For every cell, the flat index (n * n,) of the nearest cell that lies at least half inside of the circle.
 
-        Those cells give their own index. Tables filled with it read well up to the horizon.
+        For a cell that does, that is its own index. Tables that are filled by it read well up to the horizon.
         """
         area = self.projected_solid_angles().flatten()
         inside = torch.nonzero(area >= 0.5 * area.max())[:, 0]
@@ -265,7 +267,7 @@ class Disk(Squares):
         cells = torch.cartesian_prod(centre, centre)
         return inside[torch.cdist(cells, cells[inside]).argmin(1)]
 
-    def _directions(self, rows: Tensor, columns: Tensor) -> Tensor:
+    def _cell_directions(self, rows: Tensor, columns: Tensor) -> Tensor:
         near_y, near_x = crossed(_nearest_zero(2 * rows - 1), _nearest_zero(2 * columns - 1))
         y, x = crossed(2 * centres(rows) - 1, 2 * centres(columns) - 1)
         step = _step_within_circle(near_x, near_y, x - near_x, y - near_y)
@@ -274,7 +276,7 @@ class Disk(Squares):
         z = (1 - x * x - y * y).clamp(min=0).sqrt()
         return unit(torch.stack((x, y, z), dim=-1))
 
-    def _solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
+    def _cell_solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
         b, a = crossed(2 * rows - 1, 2 * columns - 1)
         r = (1 - a * a - b * b).clamp(min=0).sqrt()
         # area of the sphere above the rectangle from (0, 0) to (a, b): integral of asin(b / sqrt(1 - x^2)) dx
@@ -289,12 +291,8 @@ def triangle_solid_angles(p: Tensor, q: Tensor, r: Tensor, volume: Tensor | None
     """
     if volume is None:
         volume = (p * torch.linalg.cross(q, r)).sum(-1).abs()
-    lp = p.norm(dim=-1)
-    lq = q.norm(dim=-1)
-    lr = r.norm(dim=-1)
-    pq = (p * q).sum(-1)
-    qr = (q * r).sum(-1)
-    rp = (r * p).sum(-1)
+    lp, lq, lr = (corner.norm(dim=-1) for corner in (p, q, r))
+    pq, qr, rp = ((a * b).sum(-1) for a, b in ((p, q), (q, r), (r, p)))
     return 2 * torch.atan2(volume, lp * lq * lr + pq * lr + qr * lp + rp * lq)
 
 
@@ -305,7 +303,10 @@ def turn(axis: int, degrees: float) -> Tensor:
     j = (axis + 2) % 3
     c = cos(radians(degrees))
     s = sin(radians(degrees))
-    matrix[i, i], matrix[i, j], matrix[j, i], matrix[j, j] = c, -s, s, c
+    matrix[i, i] = c
+    matrix[i, j] = -s
+    matrix[j, i] = s
+    matrix[j, j] = c
     return matrix
 
 
@@ -322,9 +323,9 @@ def _disk_area(b: Tensor, a: Tensor) -> Tensor:
 
 
 def _step_within_circle(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor) -> Tensor:
-    """How far to go from (x, y), the point of a cell next to the axis, towards its centre (x + dx, y + dy).
+    """The share of the way to go from (x, y), the point of a cell next to the axes, to its centre (x + dx, y + dy).
 
-    1 (the centre) where the centre is inside the circle, halfway to the circle where it is not.
+    It is 1 where the centre is inside the circle, and leads halfway to the circle where the centre is not.
     """
     a = dx * dx + dy * dy
     b = x * dx + y * dy
@@ -345,33 +346,43 @@ def _nearest_zero(edges: Tensor) -> Tensor:
 
 
 def _mixed_difference(corner: Tensor) -> Tensor:
+    """Integrals over cells (..., m - 1, n - 1) from those over rectangles from (0, 0) to corners (..., m, n)."""
     return corner.diff(dim=-1).diff(dim=-2)
 
 
 def _fractions(n: int) -> Tensor:
+    """The borders (n + 1,) of n equal steps from 0 to 1."""
     return torch.arange(n + 1, dtype=torch.float64) / n
 
 
 def centres(edges: Tensor) -> Tensor:
+    """Middles (n,) of the steps between edges (n + 1,)."""
     return (edges[1:] + edges[:-1]) / 2
 
 
 def crossed(rows: Tensor, columns: Tensor) -> tuple[Tensor, Tensor]:
-    """Both coordinates at every (row, column)."""
+    """The row's and the column's coordinate (m, n), each, at every crossing of rows (m,) and columns (n,)."""
     y, x = torch.meshgrid(rows, columns, indexing="ij")
     return y, x
 
 
 def step_index(fraction: Tensor, n: int) -> Tensor:
+    """The number (...) int64 of the one of n equal steps in 0..1 that holds each fraction (...)."""
     return (fraction * n).floor().long().clamp(0, n - 1)
 
 
 def unit(directions: Tensor) -> Tensor:
+    """Directions (..., 3) scaled to length 1."""
     lengths: Tensor = torch.linalg.vector_norm(directions, dim=-1, keepdim=True)
     return directions / lengths
 
 
 def checked_directions(directions: Tensor) -> Tensor:
+    """Directions (..., 3) in float64.
+
+    Raises:
+        ValueError: another shape, or a direction that is zero or not finite.
+    """
     d = directions.to(torch.float64)
     if d.ndim < 1 or d.shape[-1] != 3:
         raise ValueError(f"directions must have shape (..., 3), got {tuple(directions.shape)}")
@@ -382,6 +393,7 @@ def checked_directions(directions: Tensor) -> Tensor:
 
 
 def at_least_one(name: str, value: int) -> int:
+    """The value; raises ValueError where it is below 1."""
     if value < 1:
         raise ValueError(f"{name} must be at least 1, got {value}")
     return value

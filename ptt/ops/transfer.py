@@ -21,11 +21,12 @@ from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.raycast import Surface
 from ptt.ops.sphere import Cube
 
-GOLDEN = math.pi * (3 - math.sqrt(5))  # turn from one direction of a spiral to the next
+GOLDEN = math.pi * (3 - math.sqrt(5))  # turn [rad] from one direction of the spiral of `gather_directions` to the next
+POINTS_AT_ONCE = 64  # whose visibility is unpacked for lobes
 
 
 def visibility(surface: Surface, points: Tensor, normals: Tensor, directions: Tensor) -> Tensor:
-    """Which directions (t, 3) each point (v, 3) sees, one ray each: packed bits (v, ceil(t / 8)) uint8.
+    """Visibility of directions (t, 3) from points (v, 3), one ray each, as packed bits (v, ceil(t / 8)) uint8.
 
     A direction at or below the horizon of the point's normal (v, 3) counts as hidden.
     """
@@ -47,9 +48,11 @@ def gather(surface: Surface, faces: Tensor, points: Tensor, frames: Tensor, loca
     """The vertex (v, n) int32 that each point sees in each local direction (n, 3); -1 for none.
 
     surface, faces (f, 3): the scene's triangles
-    points (v, 3), frames (v, 3, 3): rows tangent, bitangent, normal
-    u (v, n): uniform numbers; one corner of the triangle that is hit is drawn by its barycentric weight, so that the
-        expectation of what is read there is the interpolated value. Back faces show nothing
+    points (v, 3), frames (v, 3, 3): positions, and rows tangent, bitangent, normal
+    u (v, n): uniform numbers that draw one corner of the triangle that is hit by its barycentric weight, so that the
+        expectation of what is read there is the interpolated value
+
+    Back faces show nothing.
     """
     directions = (local.to(frames) @ frames).flatten(0, 1)  # shape: (v * n, 3)
     origins = surface.offset(points, frames[:, 2]).repeat_interleave(len(local), 0)
@@ -60,26 +63,29 @@ def gather(surface: Surface, faces: Tensor, points: Tensor, frames: Tensor, loca
 
 
 def unpack(bits: Tensor, length: int) -> Tensor:
-    """Packed bits (v, ceil(t / 8)) uint8 -> (v, t) bool."""
+    """The bits (v, t) bool of packed ones (v, ceil(t / 8)) uint8; length: t."""
     return torch.from_numpy(np.unpackbits(bits.numpy(), axis=1, count=length)).bool()
 
 
 def lobe_visibility(
     bits: Tensor, frames: Tensor, grid: Cube, cells: int, angles: Sequence[float], fine: int = 64
 ) -> Tensor:
-    """Fractions (v, cells * cells, k) uint8, of 255: how much of each lobe about a local direction gets through.
+    """The share (v, cells * cells, k) uint8, in 255ths, of each lobe about a local direction that gets through.
 
     bits (v, bytes): packed visibility of the cells of a cube map (`visibility`)
     frames (v, 3, 3): rows tangent, bitangent, normal
-    cells: along an edge of the map of axes, a `HemiOctahedral` grid
-    angles (k): of the lobes; weights are Gaussian times cosine, and what lies below the horizon is hidden
+    cells: cells along an edge of the map of axes, a `HemiOctahedral` grid
+    angles (k): widths of the lobes [degrees]
+    fine: cells along an edge of the local map on which the lobes are integrated
+
+    Directions weigh as Gaussian times cosine; what lies below the horizon is hidden.
 
     Sun et al. 2007, section 4.1.
     """
     filters = _lobe_filters(cells, fine, tuple(angles))  # shape: (fine * fine, cells * cells * k)
     local = HemiOctahedral(fine).directions().reshape(-1, 3).to(frames)
     parts = []
-    for some, turned in zip(bits.split(64), frames.split(64), strict=True):
+    for some, turned in zip(bits.split(POINTS_AT_ONCE), frames.split(POINTS_AT_ONCE), strict=True):
         at = grid.cell(local @ turned)  # shape: (b, fine * fine)
         visible = unpack(some, grid.cells).gather(1, at).to(filters)
         parts.append((visible @ filters).mul_(255).round_().to(torch.uint8))
@@ -88,12 +94,12 @@ def lobe_visibility(
 
 @cache
 def _lobe_filters(cells: int, fine: int, angles: tuple[float, ...]) -> Tensor:
-    """Weights (fine * fine, cells * cells * k) that sum to 1 over the fine cells of the hemisphere."""
+    """Weights (fine * fine, cells * cells * k) of the fine cells under each lobe about each axis; they sum to 1."""
     grid = HemiOctahedral(fine)
     wi = grid.directions().reshape(-1, 3)
     solid = grid.solid_angles().flatten()
     axes = HemiOctahedral(cells).directions().reshape(-1, 3)
-    angle = lobes.between(axes[:, None], wi)  # shape: (cells^2, fine^2)
+    angle = lobes.angle_between(axes[:, None], wi)  # shape: (cells^2, fine^2)
     weight = torch.stack([lobes.gaussian(angle, a) for a in angles], 1) * (solid * wi[:, 2])
     return (weight / weight.sum(2, keepdim=True)).flatten(0, 1).T.float()
 
@@ -116,8 +122,8 @@ def direct_transfer(
     directions (t, 3), solid_angles (t,) [sr]: the lighting's texels
     factors (i, n, n): incident factors of the BRDF tensor on the disk grid
 
-    The cosine weights of each point are scaled so that all of its hemisphere sums to pi exactly: unoccluded,
-    a constant map gives exactly its value, and with occlusion never more.
+    The cosine weights of each point are scaled so that all of its hemisphere sums to pi exactly: without occlusion
+    a constant map gives exactly its value, and with it never more.
     """
     local = frames @ directions.T  # shape: (v, 3, t)
     weight = local[:, 2].clamp(min=0) * solid_angles

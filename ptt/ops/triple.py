@@ -6,11 +6,11 @@ The theorem: C is zero but in three cases.
 
 1. The same scaling function thrice: 1.
 2. The three types of wavelet of one triangle: A_l.
-3. A wavelet twice, and a scaling function or a wavelet of a coarser level around it: A_l times the value of that one on
-   the wavelet's triangle, 1 or -1.
+3. A wavelet twice, and a scaling function or a wavelet of a coarser level around it: A_l times the value, 1 or -1, that
+   the coarser function has on the wavelet's triangle.
 
-Summed up triangle by triangle, with f, g, h the means of F, G, H over triangle (l, i), which is what all coarser
-functions together have there:
+The sum goes triangle by triangle. With f, g, h the means of F, G, H over triangle (l, i), which are the values of all
+coarser functions together there:
 
     integral = sum over roots of  f g h  +  sum over l, i of  A_l (D + E)
     D = sum over t of  F_t G_t h + F_t H_t g + G_t H_t f         E = sum over the six orders a, b, c of  F_a G_b H_c
@@ -18,9 +18,9 @@ functions together have there:
 Functions are coefficients (..., n) in the order of `ops.geodesic`; `from_square` brings those of `ops.haar` there.
 Areas are nominal: 1 for each of the roots.
 
-- The integral does not depend on the order of the three, and is linear in each.
-- It is that of `quadrature`, the sum over the finest triangles.
-- Truncated after a level, it is the quadrature on the triangles of that level.
+- The integral does not depend on the order of the three functions, and is linear in each.
+- It equals `quadrature`, the sum over the finest triangles.
+- Truncated after a level, it equals the quadrature on the triangles of that level.
 """
 
 from __future__ import annotations
@@ -33,11 +33,12 @@ from torch import Tensor
 from ptt.ops import geodesic
 from ptt.ops.haar import Truncated
 
+PAIRS = ((0, 1, 2), (0, 2, 1), (1, 2, 0))  # two of three functions, then the third
 PERMUTED = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
 
 
 def coefficient(i: int, j: int, k: int, roots: int = geodesic.ROOTS) -> float:
-    """C_ijk by the theorem, of basis functions by their positions."""
+    """C_ijk by the theorem, for basis functions at positions i, j, k of the coefficients."""
     (level, at, kind), second, third = sorted((_function(x, roots) for x in (i, j, k)), reverse=True)
     if level < 0:
         return float((level, at, kind) == second == third)
@@ -49,7 +50,7 @@ def coefficient(i: int, j: int, k: int, roots: int = geodesic.ROOTS) -> float:
 
 
 def integral(f: Tensor, g: Tensor, h: Tensor, roots: int = geodesic.ROOTS) -> Tensor:
-    """The integrals (...) of products of three functions (..., n), in O(n)."""
+    """The integrals (...) of products of three functions with coefficients (..., n), in O(n)."""
     means = [x[..., :roots] for x in (f, g, h)]
     total = (means[0] * means[1] * means[2]).sum(-1)
     signs = geodesic.SIGNS.to(f)
@@ -57,7 +58,7 @@ def integral(f: Tensor, g: Tensor, h: Tensor, roots: int = geodesic.ROOTS) -> Te
     first = roots
     while first < f.shape[-1]:
         d = [x[..., first : 4 * first].unflatten(-1, (-1, 3)) for x in (f, g, h)]
-        twice = sum((d[a] * d[b]).sum(-1) * means[c] for a, b, c in ((0, 1, 2), (0, 2, 1), (1, 2, 0)))
+        twice = sum((d[a] * d[b]).sum(-1) * means[c] for a, b, c in PAIRS)
         thrice = sum(d[0][..., a] * d[1][..., b] * d[2][..., c] for a, b, c in PERMUTED)
         total = total + area * (twice + thrice).sum(-1)
         means = [(m[..., None] + x @ signs).flatten(-2) for m, x in zip(means, d, strict=True)]
@@ -67,7 +68,7 @@ def integral(f: Tensor, g: Tensor, h: Tensor, roots: int = geodesic.ROOTS) -> Te
 
 
 def quadrature(*values: Tensor, roots: int = geodesic.ROOTS) -> Tensor:
-    """The integrals (...) of products of any number of functions, values (..., t) on the triangles of a level."""
+    """The integrals (...) of products of any number of functions with values (..., t) on the triangles of a level."""
     product = values[0]
     for other in values[1:]:
         product = product * other
@@ -82,13 +83,13 @@ def adaptive(f: Truncated, g: Truncated, h: Truncated, n: int) -> Tensor:
 def top_only(coefficients: Tensor, keep: int) -> Tensor:
     """Values (..., keep) on the triangles of the level that the first `keep` = 20 x 4^l coefficients (..., n) reach.
 
-    There the triple product is `quadrature`: a weighted dot product of three.
+    The triple product of such values is `quadrature`, a weighted dot product of three.
     """
     return geodesic.synthesise(coefficients[..., :keep])
 
 
 def from_square(coefficients: Tensor) -> Tensor:
-    """Coefficients (..., n * n) in the order and the scale of this module, with one root, of `ops.haar`'s (..., n, n).
+    """Coefficients (..., n * n) in this module's order and scale, with one root, from those of `ops.haar` (..., n, n).
 
     The children of a square are its quarters, row by row; horizontal, vertical, diagonal details are types 1, 2, 0.
     """
@@ -96,28 +97,27 @@ def from_square(coefficients: Tensor) -> Tensor:
     parts = [coefficients[..., :1, 0] / n]
     h = 1
     while h < n:
-        blocks = (coefficients[..., :h, h : 2 * h], coefficients[..., h : 2 * h, :h])
+        horizontal = coefficients[..., :h, h : 2 * h]
+        vertical = coefficients[..., h : 2 * h, :h]
         diagonal = coefficients[..., h : 2 * h, h : 2 * h]
-        three = torch.stack((diagonal, *blocks), -1).flatten(-3, -2)  # shape: (..., h * h, 3)
+        three = torch.stack((diagonal, horizontal, vertical), -1).flatten(-3, -2)  # shape: (..., h * h, 3)
         parts.append((three[..., _quarters(h), :] * (h / n)).flatten(-2))
         h *= 2
     return torch.cat(parts, -1)
 
 
 def _quarters(h: int) -> Tensor:
-    """Squares (h * h,) of a grid in the order of a tree of quarters."""
+    """The squares (h * h,) of a grid, in the order of a tree of quarters."""
     order = torch.zeros(1, dtype=torch.int64)
     for k in range(h.bit_length() - 1):
-        row = (order >> k)[:, None]
-        column = (order & (1 << k) - 1)[:, None]
-        row = 2 * row + torch.tensor([0, 0, 1, 1])
-        column = 2 * column + torch.tensor([0, 1, 0, 1])
+        row = 2 * (order >> k)[:, None] + torch.tensor([0, 0, 1, 1])
+        column = 2 * (order & (1 << k) - 1)[:, None] + torch.tensor([0, 1, 0, 1])
         order = (row * (2 << k) + column).flatten()
     return order
 
 
 def _function(position: int, roots: int) -> tuple[int, int, int]:
-    """Level (-1 for a scaling function), triangle and type of a basis function."""
+    """Level (-1 for a scaling function), triangle and type of the basis function at a position."""
     if position < roots:
         return -1, position, 0
     level = int(math.log2(position // roots)) // 2
@@ -126,7 +126,7 @@ def _function(position: int, roots: int) -> tuple[int, int, int]:
 
 
 def _value(function: tuple[int, int, int], level: int, at: int) -> int:
-    """The value of a basis function on a triangle of a finer level."""
+    """The value of a basis function (`_function`) on a triangle of a finer level; 0 where the level is not finer."""
     own, triangle, kind = function
     if own < 0:
         return int(at >> 2 * level == triangle)

@@ -209,7 +209,7 @@ def _mirrored(angles: tuple[float, ...], resolution: int) -> Tensor:
     solid = SMOOTH.solid_angles().flatten().float()
     rows = []
     for axis in MIRRORS.directions().reshape(-1, 3).float().split(64):
-        angle = lobes.between(axis[:, None], fine)
+        angle = lobes.angle_between(axis[:, None], fine)
         weight = torch.stack([lobes.gaussian(angle, max(a, 7.0)) for a in angles], 1) * solid
         weight = weight / weight.sum(2, keepdim=True)
         coarse = haar.analyse(weight.unflatten(2, SMOOTH.shape))[..., :COARSE, :COARSE] * (SMOOTH.n / resolution)

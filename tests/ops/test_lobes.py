@@ -41,13 +41,13 @@ STRAIGHT = torch.stack((torch.ones(4, 64), TABLE[:, 2].expand(4, -1)))  # axes t
 GLOSSY = CookTorrance(0.138, 0.233)
 
 
-def at_wo(found: separation.Lobes) -> separation.Lobes:
-    return separation.Lobes(*(part[..., None] for part in found))
+def at_wo(found: separation.SeparatedLobes) -> separation.SeparatedLobes:
+    return separation.SeparatedLobes(*(part[..., None] for part in found))
 
 
 def reflectances(f: separation.Function, wo: Tensor) -> Tensor:
     """(k, t) of lobes about the mirror direction."""
-    return separation.reflectances(separation.taken([f], wo), lobes.ANGLES, STRAIGHT)[0]
+    return separation.reflectances(separation.lobe_light([f], wo), lobes.ANGLES, STRAIGHT)[0]
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
@@ -62,7 +62,7 @@ def test_lobes_and_remainder_reflect_as_much_as_the_brdf(shape: Shape, count: in
     rest = separation.remainder(values, lobes.from_mirror(wi, wo), at_wo(found), angles)
     whole = (values * weights).sum(-1)
     left = (rest * weights).sum(-1)
-    reflected = separation.taken([shape.evaluate], OUT, angles, 32 if shape.isotropic else 160).total[:, 0]
+    reflected = separation.lobe_light([shape.evaluate], OUT, angles, 32 if shape.isotropic else 160).total[:, 0]
     assert torch.allclose(reflected + left, whole, rtol=0.01 if shape.isotropic else 0.03)
 
 
@@ -78,7 +78,7 @@ def test_remainder_is_between_zero_and_the_brdf_and_flat_at_the_mirror_direction
 
 
 def test_diffuse_has_no_lobes() -> None:
-    assert float(separation.taken([brdf.lambert], OUT).total.abs().max()) < 1e-12
+    assert float(separation.lobe_light([brdf.lambert], OUT).total.abs().max()) < 1e-12
 
 
 def test_one_gaussian_is_found_again() -> None:
@@ -109,7 +109,7 @@ def test_scale_invariance(scale: float) -> None:
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_lobes_reflect_all_that_they_take_over(shape: Shape) -> None:
-    light = separation.taken([shape.evaluate], TABLE, turns=16)
+    light = separation.lobe_light([shape.evaluate], TABLE, turns=16)
     axes = separation.axes_of([light], lobes.ANGLES)
     found = separation.reflectances(light, lobes.ANGLES, axes)
     assert torch.allclose(found.sum(1).T, light.total, rtol=1e-9, atol=1e-12)
@@ -119,15 +119,15 @@ def test_lobes_reflect_all_that_they_take_over(shape: Shape) -> None:
 
 def test_axes_meet_the_middle_of_the_light() -> None:
     """The mean direction of what is taken over is that of the Gaussians about their axes."""
-    light = separation.taken([GLOSSY.evaluate], TABLE, turns=16)
+    light = separation.lobe_light([GLOSSY.evaluate], TABLE, turns=16)
     axes = separation.axes_of([light], lobes.ANGLES)
     shares = separation.reflectances(light, lobes.ANGLES, axes)[0].T / light.total  # shape: (t, k)
     shrunk = torch.tensor([float(lobes.zonal(a or lobes.MIRROR, 2)[1]) for a in lobes.ANGLES])
     ours = ((shares * shrunk)[..., None] * lobes.lean(axes, light.wo)).sum(1)
     exact = (light.light[:, 0, :, None] * light.wi).sum(1)
     straight = ((shares * shrunk)[..., None] * lobes.mirror(light.wo)[:, None]).sum(1)
-    assert float(lobes.between(ours, exact.double()).max()) < math.radians(2)
-    assert float(lobes.between(straight, exact.double())[-8:].min()) > math.radians(4)
+    assert float(lobes.angle_between(ours, exact.double()).max()) < math.radians(2)
+    assert float(lobes.angle_between(straight, exact.double())[-8:].min()) > math.radians(4)
 
 
 @pytest.mark.parametrize("degrees", [75.0, 83.0, 87.0])
@@ -137,7 +137,7 @@ def test_near_the_horizon_lobes_lean_to_where_the_light_comes_from(degrees: floa
     A light and a Gaussian of variances s and t about axes x apart meet in one of s + t, exp(-x^2 / 2 (s + t)), nearly.
     """
     wo = tilted(degrees)[None]
-    light = separation.taken([GLOSSY.evaluate], wo)
+    light = separation.lobe_light([GLOSSY.evaluate], wo)
     _, axes = separation.tables([GLOSSY.evaluate], True)
     offsets = 0.4 * torch.randn(200, 3, generator=torch.Generator().manual_seed(0))
     lights = torch.nn.functional.normalize(lobes.mirror(wo).float() + offsets + torch.tensor([0.0, 0.0, 0.15]), dim=1)
@@ -148,7 +148,8 @@ def test_near_the_horizon_lobes_lean_to_where_the_light_comes_from(degrees: floa
         shares = separation.reflectances(light, lobes.ANGLES, table)[0, :, 0] / light.total[0]
         wide = size + torch.tensor([lobes.sigma(a) ** 2 for a in lobes.ANGLES])
         seen = (((lights @ lobes.lean(table, wo.float())[0].T - 1) / wide).exp() * size / wide).double() @ shares
-        return (seen - exact).norm() / exact.norm()
+        error: Tensor = (seen - exact).norm() / exact.norm()
+        return error
 
     assert float(shown(axes)) < 0.06
     assert float(shown(axes)) < float(shown(STRAIGHT.float())) / 3
