@@ -59,7 +59,8 @@ def furnace(table: Table) -> None:
 
     def radiance(scene: ptt.Scene, coefficients: int | None) -> Tensor:
         relighter = ptt.TransferRelighter(ptt.compress(ptt.precompute(scene), coefficients, brdf, clusters=None))
-        return relighter(ptt.Environment.constant(1.0), {}, FAR)
+        relit: Tensor = relighter(ptt.Environment.constant(1.0), {}, FAR)
+        return relit
 
     ball = ptt.Scene.from_mesh(*mesh.sphere_mesh(3, 1.0), material=ptt.lambert(1.0))
     error = float((radiance(ball, 96) - 1).abs().max())
@@ -180,13 +181,13 @@ def speed(table: Table, data: Path, stride: int) -> None:
         relighter(light, {name: glossy}, camera)
         eyes = iter([camera.orbited(k) for k in range(1, 200)])
 
-        def view(r: ptt.TransferRelighter = relighter, eyes: Iterator[ptt.Camera] = eyes) -> Tensor:
+        def view(r: ptt.TransferRelighter = relighter, eyes: Iterator[ptt.Camera] = eyes) -> object:
             return r(light, {name: glossy}, next(eyes))
 
-        def brdf(r: ptt.TransferRelighter = relighter, steps: Iterator[int] = STEPS) -> Tensor:
+        def brdf(r: ptt.TransferRelighter = relighter, steps: Iterator[int] = STEPS) -> object:
             return r(light, {name: ptt.blinn_phong(0.3, 0.4, 20 + next(steps) / 100)}, camera)
 
-        def lighting(r: ptt.TransferRelighter = relighter, steps: Iterator[int] = STEPS) -> Tensor:
+        def lighting(r: ptt.TransferRelighter = relighter, steps: Iterator[int] = STEPS) -> object:
             return r(light.rotated(y=next(steps)), {name: glossy}, camera)
 
         form = "compiled" if compiled else "eager"

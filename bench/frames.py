@@ -37,13 +37,14 @@ def steps(
     camera = scene.camera
     materials = dressed(scene, material)
     edited = next(r.name for r in scene.regions if r.editable)
-    assert material.shape is not None
-    name, value = list(shapes.parameters(material.shape).items())[-1]
+    shape: Any = material.shape  # an analytic one
+    assert shape is not None
+    name, value = list(shapes.parameters(shape).items())[-1]
 
     def edit() -> dict[str, ptt.Material]:
         share = 1 - 1e-4 * (next(STEPS) % 1000)
-        shape = replace(material.shape, **{name: float(value) * share})
-        return materials | {edited: ptt.Material(material.diffuse * share, material.specular, shape)}
+        changed = replace(shape, **{name: float(value) * share})
+        return materials | {edited: ptt.Material(material.diffuse * share, material.specular, changed)}
 
     def orbit() -> ptt.Camera:
         return camera.orbited(next(STEPS) * 0.37)
@@ -124,7 +125,7 @@ def step_times(
     camera: ptt.Camera,
 ) -> dict[str, float]:
     """Seconds of each step alone; the BRDF step with a material that changes every time."""
-    steps = relighter.steps
+    steps: Any = relighter.steps  # of either kind: each takes what it gave
     eye = torch.tensor(camera.eye)
     lit = steps.incident(light)
     sent = steps.exitant(lit, materials)
@@ -229,7 +230,8 @@ def against_mitsuba(table: Table, name: str, scene: ptt.Scene, light: ptt.Enviro
     integrator = mi.load_dict({"type": "path", "max_depth": 4})
 
     def image(samples: int, seed: int) -> Tensor:
-        return torch.tensor(mi.render(theirs, sensor=sensor, integrator=integrator, spp=samples, seed=seed)).clone()
+        pixels = mi.render(theirs, sensor=sensor, integrator=integrator, spp=samples, seed=mi.UInt32(seed))
+        return torch.tensor(pixels).clone()
 
     samples = 16
     start = time.perf_counter()

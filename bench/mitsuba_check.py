@@ -50,7 +50,7 @@ def mitsuba_scene(scene: Scene, environment: Environment) -> Any:
     reflectance = {"type": "mesh_attribute", "name": "vertex_color"}
     properties["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": reflectance})
     mesh = mi.Mesh("scene", len(scene.vertices), len(scene.faces), has_vertex_normals=True, props=properties)
-    mesh.add_attribute("vertex_color", 3, albedo.reshape(-1).numpy())
+    mesh.add_attribute("vertex_color", 3, albedo.reshape(-1).tolist())
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = scene.vertices.reshape(-1).numpy()
     parameters["vertex_normals"] = scene.normals.reshape(-1).numpy()
@@ -120,7 +120,7 @@ def compare(
     """
     origins, directions = camera_rays(scene, rays, seed)
     start = time.perf_counter()
-    settings = {"bounces": bounces, "samples": samples, "seed": seed}
+    settings: dict[str, Any] = {"bounces": bounces, "samples": samples, "seed": seed}
     ours = along_rays(scene, environment, matt(scene), origins, directions, **settings)
     middle = time.perf_counter()
     theirs = mitsuba_radiance(mitsuba_scene(scene, environment), origins, directions, **settings)

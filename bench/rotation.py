@@ -125,15 +125,15 @@ def table_2(table: Table, sizes: Sequence[int], light: ptt.Environment, normals:
                 table.row(f"{what}, non-zeros", per_row, "a row", how, paper=nonzeros)
                 table.row(f"{what}, sparsity", 100 * per_row / n**2, "%", how)
             if operator == "factored":
-                per_row = len(rotate.reads) / (len(rotate.starts) - 1)
-                table.row(f"{what}, non-zeros of S", per_row, "a row", "4 x 4 samples a cell")
+                reads = len(rotate.reads) / (len(rotate.starts) - 1)
+                table.row(f"{what}, non-zeros of S", reads, "a row", "4 x 4 samples a cell")
             del rotate
     logs = np.log([n * n for n in sizes])
-    for operator, took in times.items():
-        power = np.polyfit(logs, np.log(took), 1)[0]
-        paper = "1 (and 1.5 of spherical harmonics)" if operator == "matrix" else ""
+    for operator, seconds_of in times.items():
+        power = np.polyfit(logs, np.log(seconds_of), 1)[0]
+        theirs = "1 (and 1.5 of spherical harmonics)" if operator == "matrix" else ""
         table.row(
-            f"cost law, light change, {operator}", power, "", f"time as a power of N, {len(sizes)} sizes", paper=paper
+            f"cost law, light change, {operator}", power, "", f"time as a power of N, {len(sizes)} sizes", paper=theirs
         )
     power = np.polyfit(logs, np.log([r * n * n / 4 for r, n in zip(rows, sizes, strict=True)]), 1)[0]
     table.row("cost law, non-zeros of R", power, "", f"as a power of N, {len(sizes)} sizes", paper="1 as N grows")
@@ -190,6 +190,7 @@ def forms(table: Table, scene: ptt.Scene, light: ptt.Environment, n: int) -> Non
     assert shape is not None and scene.camera is not None
     at = relighter.placed[0].at
     cut = relighter._slices(shape)
+    assert cut is not None
     args = relighter.incident(light).local, cut, slices.first_slice(cut, at.twist), relighter.rotation.frames, at
 
     def whole(

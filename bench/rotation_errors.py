@@ -144,7 +144,8 @@ def same_direction(relighter: ptt.EnvMapRelighter, body: Body, light: ptt.Enviro
     cell = HemiOctahedral(relighter.views).cell(torch.einsum("kvax,kvx->kva", around, leaned))
     values = cut.values[cell].float() * where.weights[..., None]
     picked = relighter.incident(light).local[where.near.long()[..., None], cut.terms[cell].long()]
-    return dull + given.specular * torch.einsum("kvt,kvtc->vc", values, picked)[:, :3]
+    relit: Tensor = dull + given.specular * torch.einsum("kvt,kvtc->vc", values, picked)[:, :3]
+    return relit
 
 
 def accuracy(table: Table, bodies: Sequence[Body], light: ptt.Environment, sizes: Sequence[int]) -> None:
@@ -224,6 +225,7 @@ def cuts(table: Table, bodies: Sequence[Body], light: ptt.Environment, n: int) -
                     relighter = ptt.EnvMapRelighter(bodies[0].scene, rotate, rank=value)
                 cut = relighter._cut(shape, torch.device("cpu"))
                 seconds = time.perf_counter() - start
+                assert cut is not None
                 what = f"slices, {material}, {kind} {value}"
                 table.row(f"{what}, size", cut.bytes / 1e6, "MB", f"128 x 128 views; made in {seconds:.2f} s")
                 error = bodies[0].error(relighter, light, material)

@@ -97,7 +97,7 @@ def test_relit_frame(benchmark: Any, scene: ptt.Scene, model: ptt.TransferModel,
     steps = iter(range(1_000_000))
     assert light is not None and camera is not None
 
-    def frame() -> torch.Tensor:
+    def frame() -> object:
         step = next(steps)
         knot = ptt.blinn_phong(0.1, 0.5, 20 + step * 1e-5) if changed == "material" else scene.materials["knot"]
         view = camera.orbited(1e-3 * step) if changed == "view" else camera

@@ -33,14 +33,14 @@ def scene() -> ptt.Scene:
 def test_product(benchmark: Any, strategy: str, keep: int) -> None:
     """Of 4,000 points with 5120 coefficients each."""
     g = torch.Generator().manual_seed(0)
-    three = [geodesic.analyse(torch.rand(4000, 5120, generator=g)) for _ in range(3)]
-    whole = triple.integral(*three)
+    f, h, k = (geodesic.analyse(torch.rand(4000, 5120, generator=g)) for _ in range(3))
+    whole = triple.integral(f, h, k)
     if strategy == "top-only":
-        values = [triple.top_only(x, keep) for x in three]
+        values = [triple.top_only(x, keep) for x in (f, h, k)]
         got = benchmark(lambda: triple.quadrature(*values))
     else:
-        cut = [haar.truncate(x, keep, geodesic.areas(4).sqrt().float()) for x in three]
-        got = benchmark(lambda: native.adaptive(*cut, 5120))
+        a, b, c = (haar.truncate(x, keep, geodesic.areas(4).sqrt().float()) for x in (f, h, k))
+        got = benchmark(lambda: native.adaptive(a, b, c, 5120))
     benchmark.extra_info.update(setting=setting())
     assert ptt.relative_rmse(got, whole) < 0.05
 

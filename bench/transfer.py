@@ -176,7 +176,8 @@ def stability(
     materials = dressed(scene, case.materials()["moderate"])
 
     def of(environment: ptt.Environment) -> Tensor:
-        return relighter(environment, materials, scene.camera)
+        relit: Tensor = relighter(environment, materials, scene.camera)
+        return relit
 
     whole = of(light)
     for factor in (1e-6, 1e6):
@@ -209,7 +210,8 @@ def figure_9(table: Table, name: str, scene: ptt.Scene, case: Case, light: ptt.E
     sweeps = {"points": (2000, 1000, 500, 250, 120), "eigenvectors": (8, 16, 32, 64), "lighting": (16, 32, 64, 96)}
     for axis, values in sweeps.items():
         for value in values:
-            model = ptt.cluster(transfer, replace(PAPER, **{axis: value}))
+            change: dict[str, Any] = {axis: value}
+            model = ptt.cluster(transfer, replace(PAPER, **change))
             relighter = ptt.TransferRelighter(model)
             ours = relighter(light, materials, scene.camera)
             error = ptt.relative_rmse(ours[seen], truth[seen])

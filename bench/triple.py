@@ -14,6 +14,7 @@ import time
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import get_args
@@ -255,8 +256,8 @@ def coefficients(
                 cut = [haar.truncate(x.flatten(0, 1), keep, triple_pictures.weights(grid)) for x in three]
                 top = [triple.top_only(x, keep) for x in three]
                 for strategy, product in (
-                    ("top-only", lambda t=top: triple.quadrature(*t)),
-                    ("adaptive", lambda c=cut: native.adaptive(*c, grid.cells).reshape(-1, 3)),
+                    ("top-only", partial(triple.quadrature, *top)),
+                    ("adaptive", partial(triple_pictures.adaptive_product, cut, grid.cells)),
                 ):
                     error = ptt.relative_rmse(product(), truth.mean)
                     table.row(f"{what}, {strategy}, {keep}", error, "relative RMSE", how)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -15,11 +16,12 @@ from bench.table import ROOT, Table
 from ptt import reference
 from ptt.ops import geodesic, haar, local, mesh, native, rotation, triple
 from ptt.ops.geodesic import Geodesic
+from ptt.ops.haar import Truncated
 from ptt.ops.octahedral import Octahedral
 from ptt.scene.parts import Part
 
 IMAGES = ROOT / "docs" / "images"
-SIZE = {"width": 256, "height": 192}
+SIZE: dict[str, Any] = {"width": 256, "height": 192}
 SAMPLES = 384  # of the reference
 DIMMED = 0.7  # stops, so that bright floors keep their shadows
 SMALL = ptt.Environment.area_light((0.5, 0.7, 0.4), 8.0, 40.0)
@@ -51,7 +53,7 @@ def on_table(scene: ptt.Scene, cells: int) -> ptt.Scene:
     uv = plane[:, [0, 2]] / (2.4 * size) * torch.tensor([1.0, -1.0]) + 0.5
     below = torch.stack((middle[0], low[1], middle[2]))
     parts = [Part("body", scene.vertices, scene.faces), Part("floor", plane + below, squares, uv=uv)]
-    camera = replace(ptt.Camera.framing(middle, 0.56 * size), **SIZE)  # type: ignore[arg-type]
+    camera = replace(ptt.Camera.framing(middle, 0.56 * size), **SIZE)
     return ptt.Scene.from_parts(parts, camera=camera)
 
 
@@ -77,13 +79,19 @@ def strip(
     table: Table, what: str, pixels: ptt.GBuffer, images: Mapping[str, Tensor], exact: Tensor, light: ptt.Environment
 ) -> Tensor:
     """Pictures, the reference, and four times the difference of the last, in a row; a row of each error."""
-    gain = 2.0 ** (pixels.image(exact, light).exposure() - DIMMED)
+    gain: float = 2.0 ** (pixels.image(exact, light).exposure() - DIMMED)
     shown = [pixels.image(x, light).pixels for x in (*images.values(), exact)]
     last = list(images.values())[-1]
     for name, radiance in images.items():
         how = f"{len(exact)} pixels against {SAMPLES} samples each"
         table.row(f"{what}{', ' if name else ''}{name}", ptt.relative_rmse(radiance, exact), "relative RMSE", how)
     return torch.cat([*shown, pixels.image(4 * (last - exact).abs()).pixels], 1) * gain
+
+
+def adaptive_product(three: Sequence[Truncated], n: int) -> Tensor:
+    """Integrals (v, 3) of products of three functions, each (v * 3, k) of n coefficients."""
+    f, g, h = three
+    return native.adaptive(f, g, h, n).reshape(-1, 3)
 
 
 def save(number: int, strips: list[Tensor]) -> None:
@@ -188,7 +196,7 @@ def figure_7(table: Table, grace: ptt.Environment) -> None:
                 keep = 20 << 2 * level
                 cut = [haar.truncate(x.flatten(0, 1), keep, weights(grid)) for x in three]
                 found[level][0].append(triple.quadrature(*(triple.top_only(x, keep) for x in three)))
-                found[level][1].append(native.adaptive(*cut, grid.cells).reshape(-1, 3))
+                found[level][1].append(adaptive_product(cut, grid.cells))
         for level in range(3):
             top[f"{20 << 2 * level}"], adaptive[f"{20 << 2 * level}"] = map(torch.cat, found[level])
         for name, images in (("top-only", top), ("adaptive", adaptive)):

@@ -13,10 +13,12 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 import ptt
 from ptt.cli import chosen_light, chosen_scene, chosen_space, configure, run
@@ -100,39 +102,47 @@ def main() -> None:
     config.out.mkdir(parents=True, exist_ok=True)
     columns = []
     report = {}
-    stops = config.exposure
+    exposure = config.exposure
     for name, (environment, materials, view) in states.items():
         start = time.perf_counter()
         radiance = relighter(environment, materials, view)
         seconds = time.perf_counter() - start
         picture = ptt.render(scene, view, radiance, environment)
         picture.save(config.out / f"{name}.exr")
-        stops = picture.exposure() if stops is None else stops
-        picture.save(config.out / f"{name}.png", stops)
+        exposure = picture.exposure() if exposure is None else exposure
+        picture.save(config.out / f"{name}.png", exposure)
         report[name] = {"relight_ms": 1e3 * seconds}
         line = f"{name:>9}: relit in {1e3 * seconds:6.1f} ms"
         if config.samples:
             column, errors = judge(
-                scene, environment, materials, view, radiance, picture, (model.bounces, config.samples)
+                scene, environment, materials, view, radiance, picture, model.bounces, config.samples
             )
             columns.append(column)
             report[name] |= errors
             line += ", relative RMSE {relative_rmse:.4f} (reference noise {noise:.4f})".format(**errors)
         print(line)
-    if columns:
-        ptt.Image(torch.cat(columns, 1)).save(config.out / "relight.png", stops)
+    if columns and exposure is not None:
+        ptt.Image(torch.cat(columns, 1)).save(config.out / "relight.png", exposure)
     (config.out / "relight.json").write_text(
         json.dumps({"config": asdict(config), "states": report}, default=str, indent=2) + "\n"
     )
     print(f"pictures are in {config.out}")
 
 
-def judge(scene, environment, materials, view, radiance, picture, settings):
+def judge(
+    scene: ptt.Scene,
+    environment: ptt.Environment,
+    materials: Mapping[str, ptt.Material],
+    view: ptt.Camera,
+    radiance: Tensor,
+    picture: ptt.Image,
+    bounces: int,
+    samples: int,
+) -> tuple[Tensor, dict[str, float]]:
     """A column of pictures (relit, reference, difference x 4), and the errors at the vertices that face the eye.
 
-    settings: bounces of the reference, and its samples
+    bounces, samples: of the reference
     """
-    bounces, samples = settings
     every = scene, environment, materials, view
     truth = ptt.reference.at_vertices(*every, bounces=bounces, samples=16 * samples)
     facing = (view.toward(scene.vertices) * scene.normals).sum(1) > 0

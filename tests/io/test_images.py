@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -38,7 +39,7 @@ def test_exr_of_a_view_holds_the_view(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", [np.float16, np.float32])
 @pytest.mark.parametrize("names", ["RGB", "RGBA", "Y", "YA", "RGBZ"])
 def test_exr_channels_of_others(tmp_path: Path, names: str, kind: type) -> None:
-    planes = {name: np.full((3, 4), i + 1, dtype=kind) for i, name in enumerate(names)}
+    planes: dict[str, Any] = {name: np.full((3, 4), i + 1, dtype=kind) for i, name in enumerate(names)}
     OpenEXR.File({}, planes).write(str(tmp_path / "a.exr"))
     expected = torch.arange(len(names.strip("Z"))) + 1.0
     assert torch.equal(read_image(tmp_path / "a.exr"), expected.expand(3, 4, -1))
@@ -64,8 +65,10 @@ def test_png_is_srgb_clipped_and_read_back_linear(tmp_path: Path) -> None:
     written[0, 0] = torch.tensor([-1.0, 0.5029, 2.0])
     write_image(tmp_path / "a.png", written)
     assert (read_image(tmp_path / "a.png") - written.clamp(0, 1)).abs().max() < 4.6e-3
-    raw = oiio.ImageInput.open(str(tmp_path / "a.png")).read_image("uint8")
-    assert raw.shape == (5, 7, 3)
+    file = oiio.ImageInput.open(str(tmp_path / "a.png"))
+    assert file is not None
+    raw = file.read_image("uint8")
+    assert raw is not None and raw.shape == (5, 7, 3)
     assert raw[0, 0].tolist() == [0, 188, 255]
 
 
@@ -84,7 +87,7 @@ def test_srgb_curve() -> None:
     assert float(to_srgb(torch.tensor(0.001))) == pytest.approx(0.01292, abs=1e-7)
     x = torch.zeros(3, requires_grad=True)
     to_srgb(x).sum().backward()
-    assert torch.allclose(x.grad, torch.tensor(12.92))
+    assert x.grad is not None and torch.allclose(x.grad, torch.tensor(12.92))
 
 
 @pytest.mark.parametrize("ending", [".exr", ".hdr", ".png"])

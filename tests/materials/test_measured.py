@@ -6,6 +6,7 @@ import csv
 import math
 import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -192,9 +193,9 @@ def test_the_nearest_cell_is_the_one_that_the_databases_code_reads() -> None:
         d = int(theta_d / (math.pi / 2) * 90)
         p = int(phi_d / math.pi * 180)
         assert float(number) == pytest.approx(p + 180 * (d + 90 * h), abs=1e-6)
-    h, d, p = grid_of_cells()
-    assert d.max() == 89 and p.max() == 179
-    assert torch.allclose(table.evaluate(*centres(h, d, p))[:, 0] * 1500, p + 180 * (d + 90 * h))
+    hs, ds, ps = grid_of_cells()
+    assert ds.max() == 89 and ps.max() == 179
+    assert torch.allclose(table.evaluate(*centres(hs, ds, ps))[:, 0] * 1500, ps + 180 * (ds + 90 * hs))
 
 
 def test_interpolation_is_linear_in_the_angles_and_closes_the_circle() -> None:
@@ -431,7 +432,8 @@ def test_files_that_hold_no_fits_are_refused(tmp_path: Path) -> None:
     np.savez(path, names=np.array(["pvc", None], dtype=object))
     with pytest.raises(ValueError, match="allow_pickle=False"):
         NeuralBRDF.names(path)
-    np.savez(path, names=np.array(["pvc"]), **{k + n: np.zeros((1, 6)) for k in "wb" for n in "123"})
+    arrays: dict[str, Any] = {k + n: np.zeros((1, 6)) for k in "wb" for n in "123"}
+    np.savez(path, names=np.array(["pvc"]), **arrays)
     with pytest.raises(ValueError, match=r"must have shapes .*\(6, 21\).*got \[\(6,\), "):
         NeuralBRDF.load(path, "pvc")
 

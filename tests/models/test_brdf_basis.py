@@ -96,7 +96,8 @@ def of(*shapes: Shape) -> Tensor:
 def blurred_errors(basis: BRDFBasis, table: Tensor, *shapes: Shape) -> Tensor:
     exact = of(*shapes)
     functions = blurred(lambda wi, wo: basis.evaluate(wi, wo)[..., 1:])
-    return (table.double() @ functions - exact).norm(dim=1) / exact.norm(dim=1)
+    errors: Tensor = (table.double() @ functions - exact).norm(dim=1) / exact.norm(dim=1)
+    return errors
 
 
 @pytest.mark.parametrize("space", [SPACE, WARD, BRDFSpace.ggx((0.4, 0.6, 1.0)), BRDFSpace.ward((0.3, 0.8))],
@@ -217,7 +218,8 @@ def test_gradients_reach_the_exponent_and_the_weights() -> None:
     specular = torch.tensor([0.2, 0.3, 0.4], requires_grad=True)
     basis.coefficients(ptt.Material(0.0, specular, ptt.BlinnPhong(exponent)))[1, 0].backward()
     slope = float(basis.table[2, 0] - basis.table[1, 0]) / 5 * 0.2
-    assert float(exponent.grad) == pytest.approx(slope, rel=1e-4)
+    assert exponent.grad is not None and float(exponent.grad) == pytest.approx(slope, rel=1e-4)
+    assert specular.grad is not None
     assert specular.grad.tolist() == pytest.approx([float(basis.of_shape(ptt.BlinnPhong(5.0))[0]), 0, 0])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import pytest
 import torch
@@ -129,8 +130,11 @@ def test_white_furnace_of_tensor_and_lobes() -> None:
 
 @pytest.mark.parametrize("scale", [1e-30, 1e30])
 def test_scale_of_a_user_space_scales_the_values_and_nothing_else(scale: float) -> None:
+    def scaled_by(factor: float, exponent: float, wi: Tensor, wo: Tensor) -> Tensor:
+        return factor * brdf.blinn_phong(wi, wo, exponent)
+
     def named(factor: float) -> BRDFSpace:
-        return BRDFSpace.user({str(n): lambda i, o, n=n: factor * brdf.blinn_phong(i, o, n) for n in (10.0, 60.0)})
+        return BRDFSpace.user({str(n): partial(scaled_by, factor, n) for n in (10.0, 60.0)})
 
     plain, scaled = (ptt.TensorBRDF.fit(named(f), (2, 8, 8), separated=2) for f in (1.0, scale))
     wi = cosine_directions(1000, 6)

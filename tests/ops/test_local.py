@@ -72,9 +72,10 @@ def test_triple_product_against_the_path_tracer(small_scene: ptt.Scene, level: i
     values = sky.project(Octahedral(64)).reshape(-1, 3).double()
     s = rotation.resampling(Octahedral(64), grid, frames, 4)
     light = rotation.resample(values, s).reshape(len(index), grid.cells, 3)
-    material = ptt.blinn_phong((0.3, 0.4, 0.5), 0.4, 12.0)
+    shape = ptt.BlinnPhong(12.0)
+    material = ptt.Material((0.3, 0.4, 0.5), 0.4, shape)
     out = torch.einsum("vax,vx->va", frames, wo)
-    glossy = torch.cat([local.brdf(material.shape.evaluate, grid, o[None]) for o in out]).double()
+    glossy = torch.cat([local.brdf(shape.evaluate, grid, o[None]) for o in out]).double()
     dull = local.cosine(grid).double()
     kept = out[:, 2] > 0.05
     factors = material.diffuse.double() * dull[:, None] + material.specular.double() * glossy[..., None]
@@ -83,9 +84,8 @@ def test_triple_product_against_the_path_tracer(small_scene: ptt.Scene, level: i
     given = {region.name: material for region in small_scene.regions}
     truth = reference.radiance(small_scene, sky, given, points, wo, samples=1024).mean
     assert ptt.relative_rmse(got[kept], truth[kept]) < bound
-    by_wavelets = triple.integral(
-        *(geodesic.analyse(x) for x in ((light * factors)[..., 0], seen, torch.ones_like(seen)))
-    )
+    shaded, shadow, one = (geodesic.analyse(x) for x in ((light * factors)[..., 0], seen, torch.ones_like(seen)))
+    by_wavelets = triple.integral(shaded, shadow, one)
     torch.testing.assert_close(by_wavelets, got[:, 0], rtol=1e-9, atol=1e-12)
 
 

@@ -21,13 +21,14 @@ UPRIGHT = torch.tensor([1, 1, -1])
 def random_directions(n: int, seed: int = 0) -> torch.Tensor:
     generator = torch.Generator().manual_seed(seed)
     d = torch.randn(n, 3, dtype=torch.float64, generator=generator)
-    return d / d.norm(dim=-1, keepdim=True)
+    return torch.nn.functional.normalize(d, dim=-1)
 
 
 def great_circle(n: int, through: tuple[float, float, float], beside: tuple[float, float, float]) -> torch.Tensor:
     first, second = torch.linalg.qr(torch.tensor([through, beside], dtype=torch.float64).T).Q.T
     t = torch.arange(n, dtype=torch.float64)[:, None] * (2 * pi / n)
-    return first * t.cos() + second * t.sin()
+    circle: torch.Tensor = first * t.cos() + second * t.sin()
+    return circle
 
 
 def chart_of(grid: Grid, d: torch.Tensor) -> torch.Tensor:

@@ -18,7 +18,8 @@ def random_frames(count: int, seed: int = 0) -> Tensor:
     g = torch.Generator().manual_seed(seed)
     q, r = torch.linalg.qr(torch.randn(count, 3, 3, generator=g, dtype=torch.float64))
     q = q * r.diagonal(dim1=1, dim2=2).sign()[:, None]
-    return q * q.det().sign()[:, None, None]
+    frames: Tensor = q * q.det().sign()[:, None, None]
+    return frames
 
 
 def smooth(directions: Tensor) -> Tensor:
@@ -186,9 +187,9 @@ def test_factored_equals_matrix_equals_resample(n: int, m: int) -> None:
     s = rotation.resampling(Octahedral(n), target, frames)
     factored = rotation.local_light(light, s, m)
     assert factored.shape == (6, m * m, 3)
-    tolerance = {"rtol": 0, "atol": 1e-12}
-    torch.testing.assert_close(rotation.rotated_light(light, rotation.matrices(s, n, m), m), factored, **tolerance)
-    torch.testing.assert_close(rotation.resampled_light(light, frames, target), factored, **tolerance)
+    by_matrices = rotation.rotated_light(light, rotation.matrices(s, n, m), m)
+    torch.testing.assert_close(by_matrices, factored, rtol=0, atol=1e-12)
+    torch.testing.assert_close(rotation.resampled_light(light, frames, target), factored, rtol=0, atol=1e-12)
 
 
 def test_wavelet_rotation_equals_rotation_in_space() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from math import asin, pi
+from math import asin, pi, sqrt
 
 import pytest
 import torch
@@ -20,7 +20,7 @@ DISKS = [Disk(1), Disk(2), Disk(7), Disk(32), Disk(101)]
 def random_directions(n: int, seed: int = 0) -> torch.Tensor:
     generator = torch.Generator().manual_seed(seed)
     d = torch.randn(n, 3, dtype=torch.float64, generator=generator)
-    return d / d.norm(dim=-1, keepdim=True)
+    return torch.nn.functional.normalize(d, dim=-1)
 
 
 def numbers(grid: Grid) -> torch.Tensor:
@@ -174,15 +174,16 @@ def test_disk_measures_against_quadrature() -> None:
 
     def strip(i: int, j: int, measure: str) -> float:
         def across(x: float) -> float:
-            rim = (1 - x * x) ** 0.5
+            rim = sqrt(1 - x * x)
             low, high = (min(max(y, -rim), rim) for y in (edge[i], edge[i + 1]))
             if measure == "area":
                 return high - low
             return asin(high / rim) - asin(low / rim)
 
-        kinks = [s * (1 - y * y) ** 0.5 for y in edge[i : i + 2] for s in (-1, 1) if abs(y) < 1]
+        kinks = [s * sqrt(1 - y * y) for y in edge[i : i + 2] for s in (-1, 1) if abs(y) < 1]
         inside = sorted({edge[j], edge[j + 1], *(x for x in kinks if edge[j] < x < edge[j + 1])})
-        return sum(quad(across, a, b, epsabs=1e-12)[0] for a, b in pairwise(inside))
+        area: float = sum(quad(across, a, b, epsabs=1e-12)[0] for a, b in pairwise(inside))
+        return area
 
     for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (2, 2), (1, 0), (4, 3)):
         assert float(grid.projected_solid_angles()[i, j]) == pytest.approx(strip(i, j, "area"), abs=1e-9)

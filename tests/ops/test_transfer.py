@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 import ptt
 from ptt.models.transfer_model import SparseTransfer
@@ -16,10 +17,14 @@ from ptt.ops.sphere import Cube
 from ptt.scene.parts import Part
 
 
-def relight(scene: ptt.Scene, environment: ptt.Environment, resolution: int = 64, coefficients: int | None = 96):
+def relight(
+    scene: ptt.Scene, environment: ptt.Environment, resolution: int = 64, coefficients: int | None = 96
+) -> Tensor:
     brdf = ptt.TensorBRDF.fit(ptt.BRDFSpace.blinn_phong((20.0,)), ranks=(1, 1, 1), separated=0)
     model = ptt.compress(ptt.precompute(scene, resolution=resolution), coefficients, brdf, clusters=None)
-    return ptt.TransferRelighter(model)(environment, scene.materials, torch.tensor([0.0, 50.0, 0.0]))
+    far = torch.tensor([0.0, 50.0, 0.0])
+    radiance: Tensor = ptt.TransferRelighter(model)(environment, scene.materials, far)
+    return radiance
 
 
 def small_brdf() -> ptt.TensorBRDF:
@@ -177,7 +182,8 @@ ANGLES = (3.5, 7.0, 14.0, 21.0)
 def turned_frames(count: int) -> torch.Tensor:
     """Right-handed."""
     q = torch.linalg.qr(torch.randn(count, 3, 3, generator=torch.Generator().manual_seed(1)))[0]
-    return q * torch.linalg.det(q)[:, None, None]
+    frames: Tensor = q * torch.linalg.det(q)[:, None, None]
+    return frames
 
 
 def test_lobes_that_see_everything_get_through() -> None:
@@ -231,7 +237,7 @@ def test_lobes_are_cut_by_a_half_space_as_their_weight_is() -> None:
             for v in range(3):
                 seen = visible[v, grid.cell(local @ frames[v].double())]
                 error = abs(float((weight * seen).sum() / weight.sum()) - float(found[v, cell, k]) / 255)
-                worst[k] = max(worst[k], error)
+                worst[k] = max(float(worst[k]), error)
                 total[k] += error / (3 * len(axes))
     assert (worst < torch.tensor([0.2, 0.1, 0.06, 0.04])).all()
     assert (total < 0.01).all()

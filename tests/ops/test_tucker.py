@@ -7,7 +7,7 @@ import math
 import subprocess
 import sys
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import get_args
 
@@ -149,7 +149,7 @@ def test_slices_are_the_hosvd_of_the_trailing_axes() -> None:
     assert relative_rmse(fit.to_dense(), whole.to_dense()) < 2 * tucker.relative_error(whole, a)
 
 
-class CountedSlices:
+class CountedSlices(Sequence[Tensor]):
     """Slices computed on demand, which remembers the most that were alive at a time and how many were asked for."""
 
     def __init__(self, tensor: Tensor) -> None:
@@ -161,7 +161,7 @@ class CountedSlices:
     def __len__(self) -> int:
         return len(self.tensor)
 
-    def __getitem__(self, k: int) -> Tensor:
+    def __getitem__(self, k: int) -> Tensor:  # type: ignore[override]
         self.alive = self.alive + 1
         self.asked = self.asked + 1
         self.most = max(self.most, self.alive)
@@ -189,7 +189,8 @@ def test_relative_error_of_dense_and_sliced_tensors() -> None:
     a = decaying()
     fit = tucker.decompose(a, ranks=(3, 4, 5))
     expected = relative_rmse(fit.to_dense(), a)
-    for tensor in (a, list(a), CountedSlices(a)):
+    forms: list[tucker.Slices] = [a, list(a), CountedSlices(a)]
+    for tensor in forms:
         assert tucker.relative_error(fit, tensor) == pytest.approx(expected, rel=1e-12)
     zero = torch.zeros_like(a)
     assert tucker.relative_error(fit, zero) == math.inf
@@ -279,6 +280,6 @@ def test_refusals_of_one_method_and_of_unlike_slices() -> None:
     with pytest.raises(ValueError, match="with axes"):
         tucker.decompose_slices(random(3), ranks=(1,))
     with pytest.raises(ValueError, match="method must be one of hosvd, st-hosvd, hooi, got 'svd'"):
-        tucker.decompose(random(3, 4), ranks=(1, 1), method="svd")
+        tucker.decompose(random(3, 4), ranks=(1, 1), method="svd")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"slices must have the same shape \(4,\), got \(5,\)"):
         tucker.decompose_slices([random(4), random(5)], ranks=(1, 1))

@@ -382,8 +382,8 @@ def test_far_from_the_origin() -> None:
     runs = []
     for s in (scene, moved):
         points = Points(*(x[::16] for x in reference.vertex_points(s)))
-        settings = {"bounces": 1, "samples": 256}
-        runs.append(radiance(s, Environment.constant(), s.materials, points, points.frame[:, 2], **settings))
+        light = Environment.constant()
+        runs.append(radiance(s, light, s.materials, points, points.frame[:, 2], bounces=1, samples=256))
     assert float((runs[0].mean - runs[1].mean).abs().mean() / runs[0].mean.mean()) < 0.02
 
 
@@ -433,10 +433,9 @@ def test_tangents_reach_the_material(axis: int, expected: float) -> None:
     light = Environment((1 + x * x).float().expand(-1, -1, 3).contiguous())
     origins = torch.tensor([[0.3, 1.0, 0.1]]).expand(8, 3)
     down = torch.tensor([[0.0, -1.0, 0.0]]).expand(8, 3)
-    settings = {"samples": 8192}
-    at_hits = over_points(along_rays(scene, light, same(material, scene), origins, down, **settings))
+    at_hits = over_points(along_rays(scene, light, same(material, scene), origins, down, samples=8192))
     points = Points(*(x[:1].expand(8, *x.shape[1:]) for x in reference.vertex_points(scene)))
-    given = over_points(radiance(scene, light, same(material, scene), points, -down, **settings))
+    given = over_points(radiance(scene, light, same(material, scene), points, -down, samples=8192))
     for estimate in (at_hits, given):
         assert (estimate.standard_error < 0.01).all()
         assert agrees(estimate, expected, floor=1e-4)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -32,7 +33,7 @@ def test_mitsuba_is_given_the_same_light() -> None:
         assert list(light.eval(at)) == pytest.approx(expected.tolist(), abs=3e-4)
 
 
-def mi_load(description: dict) -> object:  # type: ignore[type-arg]
+def mi_load(description: dict[str, Any]) -> Any:
     mi.set_variant("scalar_rgb")
     return mi.load_dict(description)
 

@@ -64,7 +64,7 @@ def sphere(wo: Tensor, finest: float) -> tuple[Tensor, Tensor]:
 def width(lobe: Lobe) -> float:
     if isinstance(lobe, PowerLobe):
         return 1 / math.sqrt(lobe.exponent + 1)
-    return lobe.roughness**2 if isinstance(lobe, GGXLobe) else min(lobe.mx, lobe.my or lobe.mx)
+    return float(lobe.roughness**2 if isinstance(lobe, GGXLobe) else min(lobe.mx, lobe.my or lobe.mx))
 
 
 @pytest.mark.parametrize(("lobe", "tilt"), list(product(LOBES, TILTS)), ids=str)

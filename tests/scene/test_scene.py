@@ -109,7 +109,7 @@ def test_region_index_lists_the_names() -> None:
 def test_scene_is_frozen_and_its_materials_combine() -> None:
     scene = ptt.default_scene()
     with pytest.raises(dataclasses.FrozenInstanceError):
-        scene.camera = None  # type: ignore[misc]
+        scene.environment = None  # type: ignore[misc]
     red = lambert((1.0, 0.0, 0.0))
     edited = scene.materials | {"knot": red}
     assert edited["knot"] is red and scene.materials["knot"] is not red and len(edited) == 4

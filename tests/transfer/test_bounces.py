@@ -13,13 +13,14 @@ from torch import Tensor
 
 import ptt
 from ptt import reference
+from ptt.models.indirect import COARSE, ORDER
 from ptt.models.slots import OWN, Slot, coefficients
 from ptt.ops import haar, harmonics, lobes, mesh, transfer
 from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.sphere import Cube, Disk
 from ptt.scene.parts import Part
 from ptt.transfer.assembly import _cuts
-from ptt.transfer.bounces import COARSE, CUTS, ORDER, Bounces
+from ptt.transfer.bounces import CUTS, Bounces
 
 N = 16  # cells along an edge of the cube map
 SHAPE = ptt.BlinnPhong(10.0)
@@ -157,7 +158,7 @@ class Oracle(NamedTuple):
         low = min(int(at), tilts - 2)
         along, up = self.brdf.axes[..., low] * (1 - at + low) + self.brdf.axes[..., low + 1] * (at - low)
         axes = torch.stack((-along * wo[0], -along * wo[1], up), 1)
-        return axes / axes.norm(dim=1, keepdim=True)
+        return torch.nn.functional.normalize(axes, dim=1)
 
     def reflected_direct(self, slot: Slot, y: int, wo: Tensor) -> Tensor:
         """O_q (l,)."""
@@ -204,8 +205,8 @@ class Oracle(NamedTuple):
         right = torch.zeros(len(self.made.slots), len(local), *shape, dtype=torch.float64)
         for (ray, q), value in sent.items():
             right[q, ray] = value
-        solved = torch.linalg.solve(z.T @ z, z.T @ right.flatten(2))
-        return solved.unflatten(2, shape)
+        solved: Tensor = torch.linalg.solve(z.T @ z, z.T @ right.flatten(2)).unflatten(2, shape)
+        return solved
 
     def hits(self, v: int) -> list[tuple[int, int, Tensor, list[int]]]:
         """Ray, vertex, wo there, slots."""
