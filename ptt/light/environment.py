@@ -6,7 +6,7 @@
 
 The function is the bilinear interpolant of a lat-long map, in the convention of `ptt.ops.sphere.LatLong`, texel
 centres at half texels. It wraps around in u, and across the poles: beyond row 0 comes row 0, half a turn on.
-All that is derived from a map (means of cells, the integral, the sampler) belongs to this one function. Its
+All that is derived from a map (means of cells, the integral, the sampler) belongs to this one function. The function's
 integral is the texels' sum by solid angle, but for the first and the last row, whose texels weigh 8 % more.
 """
 
@@ -31,19 +31,21 @@ from ptt.ops.sphere import Grid, LatLong, turn
 Colour = float | Sequence[float] | Tensor
 """Red, green and blue, or one number for grey; finite and >= 0."""
 
-LARGEST = 1e30  # of a map: its products must stay within float32
+LARGEST_RADIANCE = 1e30  # of a map, in its own units: products with it must stay within float32, which ends at 3e38
 _SIZE = 256, 512  # height and width of maps that are made, not loaded
-_LOOKUPS = 1 << 23  # `project` halves a map whose texels would ask for more
+_LOOKUPS = 1 << 23  # `project` halves a map whose texels would ask for more; bounds its time
+_LUMINANCE = 0.2126, 0.7152, 0.0722  # of linear sRGB (IEC 61966-2-1)
 
 
 @dataclass(frozen=True, eq=False)
 class Environment:
     """Radiance from every direction, the same at every point.
 
-    map (height, width, 3): linear RGB, float32, lat-long, width even; may require grad [the map's units].
-    rotation (3, 3): takes map directions to world directions, float64.
+    map (height, width, 3): linear RGB, float32, lat-long, width even [the map's own units]; may require grad
+    rotation (3, 3): takes map directions to world directions, float64
 
     Laws:
+
     - ``e.rotated(...).radiance(R d) = e.radiance(d)``.
     - The cells of ``e.project(g)`` times ``g.solid_angles()`` sum to ``e.integral()``.
     - `radiance`, `project` and `integral` are linear in `map`, and differentiable.
@@ -65,7 +67,7 @@ class Environment:
 
     @classmethod
     def load(cls, path: str | PathLike[str], layout: Layout = "auto") -> Environment:
-        """Reads .exr, .hdr or .png; crosses and angular maps are resampled at matching resolution.
+        """Read .exr, .hdr or .png; crosses and angular maps are resampled at matching resolution.
 
         Negative values become 0, with one warning that counts them. Grey becomes RGB; alpha is dropped.
 
@@ -83,7 +85,7 @@ class Environment:
 
     @classmethod
     def constant(cls, radiance: Colour = 1.0) -> Environment:
-        """The same radiance from everywhere: its integral is 4 pi times `radiance`."""
+        """A light with the same radiance from everywhere: its integral is 4 pi times `radiance`."""
         return cls(_colour("radiance", radiance).expand(*_SIZE, 3).contiguous())
 
     @classmethod
@@ -134,7 +136,7 @@ class Environment:
         return cls(sky.map + sun.map / (pi * sin(radians(radius)) ** 2))
 
     def __add__(self, other: Environment) -> Environment:
-        """Both lights at once, such as several area lights.
+        """The sum of two lights, such as area lights.
 
         Raises:
             ValueError: their maps differ in size, or one is turned against the other.
@@ -147,7 +149,7 @@ class Environment:
         """The environment turned by degrees about the world axes, first x, then y, then z; right-handed."""
         rotation = turn(2, z) @ turn(1, y) @ turn(0, x) @ self.rotation
         _check_rotation(rotation)
-        turned = copy(self)  # the map is not looked at again
+        turned = copy(self)  # without checking the map again
         object.__setattr__(turned, "rotation", rotation)
         return turned
 
@@ -166,40 +168,44 @@ class Environment:
     def project(self, grid: Grid) -> Tensor:
         """Mean radiance of each cell (*grid.shape, 3), by solid angle.
 
-        The midpoint rule, about three samples to a texel along each axis. Where texels are narrower, near the
-        poles, rows are first blurred along u to three samples, so that one bright texel keeps its energy to 1
-        or 2 % wherever it is. Where many lookups would be needed, the map is first halved, as long as a cell
-        spans more than eight texels; that keeps the integral.
+        The means follow from the midpoint rule, with about three samples to a texel along each axis. Where texels are
+        narrower, near the poles, rows are first blurred along u to three samples, so that one bright texel keeps its
+        energy to 1 or 2 % wherever it is. Where many lookups would be needed, the map is first halved, as long as a
+        cell spans more than eight texels; that keeps the integral.
         """
         spacing = float(grid.solid_angles().max().sqrt())
         light = self
-        while grid.cells * light._samples(spacing) ** 2 > _LOOKUPS and light._may_halve(spacing):
+        while grid.cells * light._samples_per_cell(spacing) ** 2 > _LOOKUPS and light._may_halve(spacing):
             light = light._halved()
-        samples = light._samples(spacing)
+        samples = light._samples_per_cell(spacing)
         even = replace(light, map=latlong.even_rows(light.map, 3 * spacing / samples))
         return grid.means(even.radiance, samples)
 
     def integral(self) -> Tensor:
-        """Integral of the radiance over the sphere (3,) [map's units x sr], exact for the interpolant."""
+        """The integral (3,) of the radiance over the sphere [map's units x sr], exact for the interpolant."""
         weights = latlong.texel_weights(*self.map.shape[:2]).to(self.map)
         return weights @ self.map.sum(1)  # row by row: half a million texels in one float32 sum lose 1e-3
 
     def sampler(self) -> EnvironmentSampler:
-        """Importance sampling by luminance; gradients stop here."""
+        """A sampler of directions by luminance; gradients stop here."""
         return EnvironmentSampler.build(self.map.detach(), self.rotation)
 
-    def _texel(self) -> float:
+    def _texel_angle(self) -> float:
+        """The smaller side [rad] of a texel on the equator."""
         height, width = self.map.shape[:2]
         return min(pi / height, 2 * pi / width)
 
-    def _samples(self, spacing: float) -> int:
-        return ceil(3 * spacing / self._texel())
+    def _samples_per_cell(self, spacing: float) -> int:
+        """Samples along the edge of a cell that is `spacing` [rad] wide, three to a texel."""
+        return ceil(3 * spacing / self._texel_angle())
 
     def _may_halve(self, spacing: float) -> bool:
+        """Tell whether the map can be halved, and a cell that is `spacing` [rad] wide spans more than eight texels."""
         height, width = self.map.shape[:2]
-        return spacing > 8 * self._texel() and height % 2 == 0 and width % 4 == 0
+        return spacing > 8 * self._texel_angle() and height % 2 == 0 and width % 4 == 0
 
     def _halved(self) -> Environment:
+        """The environment with half as many rows and columns, and the same integral."""
         columns = (self.map[:, ::2] + self.map[:, 1::2]) / 2
         rows = latlong.halving(self.map.shape[0]).to(self.map)
         return replace(self, map=torch.einsum("rh,hwc->rwc", rows, columns))
@@ -212,10 +218,10 @@ class EnvironmentSampler:
     The density follows the mean over each texel of the interpolated luminance: it is positive wherever the
     radiance is. A black map is sampled uniformly. All tables are float64.
 
-    density (height, width): [1/sr].
-    rotation (3, 3): takes map directions to world directions.
-    rows (height + 1): cumulative probability of the rows.
-    columns (height * width + 1): cumulative probability within each row, plus the row's number.
+    density (height, width): density of directions [1/sr]
+    rotation (3, 3): takes map directions to world directions
+    rows (height + 1): cumulative probability of the rows
+    columns (height * width + 1): cumulative probability within each row, plus the row's number
     """
 
     density: Tensor
@@ -228,7 +234,7 @@ class EnvironmentSampler:
         """Tables for a map (height, width, 3) and its rotation."""
         height, width = radiance.shape[:2]
         areas = LatLong(height, width).solid_angles().to(radiance.device)
-        mean = latlong.texel_means(radiance.double() @ radiance.new_tensor((0.2126, 0.7152, 0.0722)).double())
+        mean = latlong.texel_means(radiance.double() @ radiance.new_tensor(_LUMINANCE).double())
         mean = mean.clamp(min=0) if bool((mean > 0).any()) else torch.ones_like(mean)
         density = mean / (mean * areas).sum()
         mass = density * areas
@@ -265,6 +271,7 @@ class EnvironmentSampler:
 
 
 def _cumulative(mass: Tensor) -> Tensor:
+    """Cumulative probabilities (..., n + 1), from 0 to 1, of masses (..., n)."""
     total = F.pad(mass.cumsum(-1), (1, 0))
     return total / total[..., -1:]
 
@@ -292,9 +299,11 @@ def _direction(value: Sequence[float] | Tensor) -> Tensor:
 
 
 def _check_finite(name: str, values: Tensor) -> None:
-    bad = int((~(values.abs() <= LARGEST)).sum())
+    bad = int((~(values.abs() <= LARGEST_RADIANCE)).sum())
     if bad:
-        raise ValueError(f"{name} must be finite: {bad} of {values.numel()} values are NaN or beyond {LARGEST:g}")
+        raise ValueError(
+            f"{name} must be finite: {bad} of {values.numel()} values are NaN or beyond {LARGEST_RADIANCE:g}"
+        )
 
 
 def _check_rotation(r: Tensor) -> None:

@@ -1,4 +1,4 @@
-"""How an image holds the sphere: lat-long, vertical cross, angular map; all become lat-long."""
+"""Layouts of the sphere in an image: lat-long, vertical cross, angular map; all become lat-long."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from ptt.ops import latlong
 from ptt.ops.sphere import LatLong
 
 Layout = Literal["auto", "latlong", "cross", "angular"]
-"""How an image holds the sphere; "auto" decides by width : height.
+"""The layout of the sphere in an image; "auto" decides by width : height.
 
-latlong (2:1): as `LatLong`. cross (3:4): vertical, from the top +Y; -X -Z +X; -Y; +Z upside down.
+latlong (2:1): that of `LatLong`. cross (3:4): vertical, from the top +Y; -X -Z +X; -Y; +Z upside down.
 angular (1:1): direction (sin(pi r) a / r, sin(pi r) b / r, -cos(pi r)), a to the right, b up, r = |(a, b)| <= 1.
 """
 
 
-def _same(image: Tensor) -> Tensor:
+def _unchanged(image: Tensor) -> Tensor:
     return image
 
 
 def _from_cross(image: Tensor) -> Tensor:
+    """The lat-long map (2 n, 4 n, 3) of a vertical cross (4 n, 3 n, 3)."""
     n = image.shape[1] // 3
     axes = torch.tensor(_CROSS_AXES, dtype=torch.float32)  # shape: (face, axis, 3)
     corners = torch.tensor(_CROSS_CORNERS)
@@ -41,7 +42,7 @@ def _from_cross(image: Tensor) -> Tensor:
     return LatLong(2 * n, 4 * n).means(lookup, 2)
 
 
-_CROSS_AXES = (  # ahead, right, down
+_CROSS_AXES = (  # ahead, right and down in each face
     ((0, 1, 0), (1, 0, 0), (0, 0, -1)),
     ((-1, 0, 0), (0, 0, -1), (0, -1, 0)),
     ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
@@ -49,10 +50,11 @@ _CROSS_AXES = (  # ahead, right, down
     ((0, -1, 0), (1, 0, 0), (0, 0, 1)),
     ((0, 0, 1), (1, 0, 0), (0, 1, 0)),
 )
-_CROSS_CORNERS = ((1, 0), (0, 1), (1, 1), (2, 1), (1, 2), (1, 3))  # column, row
+_CROSS_CORNERS = ((1, 0), (0, 1), (1, 1), (2, 1), (1, 2), (1, 3))  # column and row of each face
 
 
 def _from_angular(image: Tensor) -> Tensor:
+    """The lat-long map of an angular map (n, n, 3), with as many rows as the radius has texels."""
     n = image.shape[0]
     rim = max(0.0, 1 - 8**0.5 / n)  # beyond, the interpolation would reach outside the disc
 
@@ -66,13 +68,18 @@ def _from_angular(image: Tensor) -> Tensor:
 
 
 _LAYOUTS: dict[str, tuple[int, int, Callable[[Tensor], Tensor]]] = {
-    "latlong": (2, 1, _same),
+    "latlong": (2, 1, _unchanged),
     "cross": (3, 4, _from_cross),
     "angular": (1, 1, _from_angular),
 }
 
 
 def to_latlong(image: Tensor, layout: str, path: str | PathLike[str]) -> Tensor:
+    """An image (h, w, 3) in a layout as a lat-long map; the path is for messages.
+
+    Raises:
+        ValueError: the layout is unknown, or width : height is not that of the layout.
+    """
     if layout not in ("auto", *_LAYOUTS):
         raise ValueError(f"layout must be one of auto, {', '.join(_LAYOUTS)}, got {layout!r}")
     height, width = image.shape[:2]

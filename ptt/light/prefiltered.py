@@ -1,6 +1,8 @@
-"""A map made ready once, so that turning it costs little: fine, and blurred by each lobe (Sun 2007, section 4.1).
+"""An environment made ready once, so that turning it costs little: a fine map, and one blurred by each lobe.
 
-All in the map's own frame, on octahedral maps: a turn of the light turns the directions in which they are read.
+They are octahedral maps in the environment's own frame: a turn of the light turns the directions that they are read in.
+
+Sun et al. 2007, section 4.1.
 """
 
 from __future__ import annotations
@@ -15,45 +17,52 @@ from typing import NamedTuple
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
+from torch.nn.functional import pad
 
 from ptt.light.environment import Environment
 from ptt.ops import lobes
 from ptt.ops.octahedral import Octahedral, bordered
 from ptt.ops.sphere import Grid
 
-FINE = 256  # cells along an edge of the map that lighting is read from
-SIDE = 128  # of the blurred ones
-SOURCE = {7.0: 128, 14.0: 64, 21.0: 32}  # of what is blurred
+FINE_SIDE = 256  # cells along an edge of the map from which lighting is read
+BLURRED_SIDE = 128  # cells along an edge of the blurred maps
+SOURCE_SIDE = {
+    7.0: 128,
+    14.0: 64,
+    21.0: 32,
+}  # and of the maps that are blurred, by the lobe [degrees]: the wider, the coarser
 
 
 class LightMaps(NamedTuple):
-    """fine (FINE * FINE, 4): means of its cells; blurred (k, (SIDE + 2) ** 2, 4): mean light under each lobe, on maps
-    that are `bordered`. The fourth channel is a zero that aligns them."""
+    """The maps of one environment; the fourth channel is a zero that aligns them.
+
+    fine (FINE_SIDE ** 2, 4): mean light of each cell
+    blurred (k, (BLURRED_SIDE + 2) ** 2, 4): mean light under each lobe, on maps that are `bordered`
+    """
 
     fine: Tensor
     blurred: Tensor
 
 
 def light_maps(environment: Environment, angles: Sequence[float]) -> LightMaps:
-    """Both, for the lobes of so many degrees; the turn of the environment does not matter."""
+    """The maps of an environment, for lobes of the given widths [degrees]; its turn does not matter."""
     still = replace(environment, rotation=torch.eye(3, dtype=torch.float64))
-    fine = still.project(Octahedral(FINE))
-    light = fine * Octahedral(FINE).solid_angles()[..., None].to(fine)
-    blurred = fine.new_zeros(len(angles), SIDE * SIDE, 3)
+    fine = still.project(Octahedral(FINE_SIDE))
+    light = fine * Octahedral(FINE_SIDE).solid_angles()[..., None].to(fine)
+    blurred = fine.new_zeros(len(angles), BLURRED_SIDE**2, 3)
     for k, angle in enumerate(angles):
-        n = SOURCE.get(angle, SIDE)
-        summed = Octahedral(n).coarsen(light, FINE // n).reshape(-1, 3)
+        n = SOURCE_SIDE.get(angle, BLURRED_SIDE)
+        summed = Octahedral(n).coarsen(light, FINE_SIDE // n).reshape(-1, 3)
         if angle == 0:
             blurred[k] = summed / Octahedral(n).solid_angles().reshape(-1, 1).to(fine)
         else:
             blurred[k] = _blur(angle, n).to(fine) @ summed
     around = bordered(blurred.movedim(1, 0)).movedim(1, 0)
-    fine, around = (torch.nn.functional.pad(maps, (0, 1)) for maps in (fine.reshape(-1, 3), around))
-    return LightMaps(fine, around.contiguous())
+    return LightMaps(pad(fine.reshape(-1, 3), (0, 1)), pad(around, (0, 1)).contiguous())
 
 
 def samples(grid: Grid) -> tuple[Tensor, Tensor]:
-    """For `relight.lighting`: directions (4, 3, cells) and shares (4, cells) of the quarters of each cell."""
+    """Directions (4, 3, cells) and shares (4, cells) of the quarters of a grid's cells, for `ops.relight.lighting`."""
     *_, rows, columns = grid.shape
     fine = grid.refine(2)
     directions = fine.directions().reshape(-1, rows, 2, columns, 2, 3).permute(2, 4, 5, 0, 1, 3).reshape(4, 3, -1)
@@ -63,14 +72,16 @@ def samples(grid: Grid) -> tuple[Tensor, Tensor]:
 
 @cache
 def _blur(angle: float, n: int) -> Tensor:
-    """From light times solid angle in the cells of an octahedral map to its means (SIDE * SIDE, n n), sparse CSR."""
-    cells, axes = (Octahedral(side).directions().reshape(-1, 3) for side in (n, SIDE))
+    """The matrix (BLURRED_SIDE ** 2, n * n), sparse CSR, from light times solid angle to mean light under a lobe."""
+    cells = Octahedral(n).directions().reshape(-1, 3)
+    axes = Octahedral(BLURRED_SIDE).directions().reshape(-1, 3)
     chord = 2 * sin(radians(angle) / 2)
     near = cKDTree(axes.numpy()).sparse_distance_matrix(cKDTree(cells.numpy()), chord, output_type="coo_matrix")
     row = torch.from_numpy(near.row).long()
     column = torch.from_numpy(near.col).long()
     weight = lobes.gaussian(2 * torch.from_numpy(near.data).div(2).asin(), angle)
-    total = torch.zeros(len(axes)).double().index_add_(0, row, weight * Octahedral(n).solid_angles().flatten()[column])
+    solid_angles = Octahedral(n).solid_angles().flatten()
+    total = torch.zeros(len(axes)).double().index_add_(0, row, weight * solid_angles[column])
     size = (len(axes), len(cells))
     values = (weight / total[row]).float()
     with torch.sparse.check_sparse_tensor_invariants(enable=False), warnings.catch_warnings():

@@ -56,7 +56,7 @@ class Material:
 class Mixed:
     """Two materials on one surface, (1 - share) first + share second, for shading per pixel (Ma et al. 2006, 4.2).
 
-    share: 0..1; (h, w), a texture by the scene's uv, or (v,), of the scene's vertices and interpolated
+    share: values in 0..1, a texture (h, w) by the scene's uv, or (v,) at the scene's vertices
 
     Raises:
         ValueError: share has another shape or is out of its range.
@@ -98,18 +98,18 @@ def ggx(diffuse: Colour = 0.5, specular: Colour = 1.0, f0: Number = 0.04, roughn
 
 
 @overload
-def dressed(own: Mapping[str, Material], given: Mapping[str, Material]) -> dict[str, Material]: ...
+def materials_of_regions(own: Mapping[str, Material], given: Mapping[str, Material]) -> dict[str, Material]: ...
 @overload
-def dressed(
+def materials_of_regions(
     own: Mapping[str, Material], given: Mapping[str, Material | Mixed], mixed: Literal[True]
 ) -> dict[str, Material | Mixed]: ...
-def dressed(own: Mapping[str, Any], given: Mapping[str, Any], mixed: bool = False) -> dict[str, Any]:
-    """The materials of every region, in their order: the given ones, else its own.
+def materials_of_regions(own: Mapping[str, Any], given: Mapping[str, Any], mixed: bool = False) -> dict[str, Any]:
+    """The material of every region, by name and in the order of `own`: the given one, else its own.
 
-    mixed: whether a region may have two
+    mixed: says whether a region may have two (`Mixed`)
 
     Raises:
-        ValueError: a region that there is not, or what is no material.
+        ValueError: no region has a given name, or a value is no material.
     """
     kinds = (Material, Mixed) if mixed else (Material,)
     if unknown := [name for name in given if name not in own]:
@@ -128,6 +128,7 @@ def to_config(material: Material) -> dict[str, Any]:
     return shapes.to_config(material.shape) | weights
 
 
+# The function that makes a material of each model, by the name in a config
 MODELS: dict[str, Callable[..., Material]] = {
     "lambert": lambert,
     BlinnPhong.model: blinn_phong,
@@ -138,7 +139,7 @@ MODELS: dict[str, Callable[..., Material]] = {
 
 
 def from_config(config: Mapping[str, Any]) -> Material:
-    """The inverse of `to_config`; what is left out has the default of the model's function.
+    """The material of a config, the inverse of `to_config`; keys that are left out have the model's defaults.
 
     Raises:
         ValueError: an unknown model, or a key that the model does not have; the message lists the valid ones.
@@ -146,8 +147,9 @@ def from_config(config: Mapping[str, Any]) -> Material:
     values = dict(config)
     model = values.pop("model", None)
     if model in (shapes.Named.model, shapes.Blend.model):
-        weights = values.pop("diffuse", 0.5), values.pop("specular", 0.5)
-        return Material(*weights, shapes.from_config({"model": model, **values}))
+        diffuse = values.pop("diffuse", 0.5)
+        specular = values.pop("specular", 0.5)
+        return Material(diffuse, specular, shapes.from_config({"model": model, **values}))
     if model not in MODELS:
         raise ValueError(f"material.model must be one of {', '.join(MODELS)}, got {model!r}")
     valid = inspect.signature(MODELS[model]).parameters
@@ -157,6 +159,7 @@ def from_config(config: Mapping[str, Any]) -> Material:
 
 
 def _colour(name: str, value: Colour, high: float) -> Tensor:
+    """A colour (3,), checked to lie in 0..high."""
     colour = torch.as_tensor(value, dtype=torch.float32)
     if colour.ndim == 0:
         colour = colour.expand(3)

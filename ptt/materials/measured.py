@@ -1,10 +1,10 @@
 """Measured BRDFs: tables in the MERL format, and neural fits of them.
 
-Both evaluate(wi, wo) local unit directions (..., 3), which broadcast, to RGB (..., 3) [1/sr] without the cosine, zero
-where either direction is at or below the horizon. Both are isotropic: they see the directions through `half_difference`
-alone.
+Tables (`MERL`) and fits (`NeuralBRDF`) have `evaluate(wi, wo)`: RGB (..., 3) [1/sr] without the cosine, for local unit
+directions (..., 3), which broadcast; it is zero where either direction is at or below the horizon. They are isotropic:
+they see the directions through `half_difference` alone.
 
-    gold = MERL.load("gold-metallic-paint.binary")             # a memory map: 33 MB stay on the disk
+    gold = MERL.load("gold-metallic-paint.binary")             # maps the file: its 33 MB stay on the disk
     radiance = gold.evaluate(wi, wo) * wi[..., 2:]
 
 Matusik, Pfister, Brand and McMillan 2003 (tables); Rusinkiewicz 1998 (coordinates); Sztrajman, Rainer, Ritschel and
@@ -37,7 +37,7 @@ CELLS = (90, 90, 180)  # theta_h, theta_d, phi_d; the last varies fastest
 _HEADER = np.array(CELLS, dtype="<i4")
 _BYTES = _HEADER.nbytes + 3 * math.prod(CELLS) * 8
 _SCALE = torch.tensor([1.0, 1.15, 1.66], dtype=torch.float64) / 1500  # 1/sr per unit in the file
-_FLOOR = 1e-12  # no weight is 0: the centre of a masked cell takes its neighbours' mean
+_FLOOR = 1e-12  # least weight of a cell, so that the centre of a masked one takes its neighbours' mean
 
 
 class HalfDifference(NamedTuple):
@@ -49,7 +49,7 @@ class HalfDifference(NamedTuple):
 
 
 def half_difference(wi: Tensor, wo: Tensor) -> HalfDifference:
-    """Polar angle of h, the unit half vector; polar angle and azimuth of wi in the frame that has h as its pole.
+    """The polar angle of h, the unit half vector, and polar angle and azimuth of wi in the frame whose pole is h.
 
     wi, wo (..., 3): unit directions, local frame
     Returns theta_h in 0..pi (0..pi/2 above the horizon), theta_d in 0..pi/2, phi_d in -pi..pi.
@@ -58,7 +58,7 @@ def half_difference(wi: Tensor, wo: Tensor) -> HalfDifference:
     - exchanging wi and wo adds pi to phi_d and changes nothing else
     - phi_d = 0 or pi in the plane of h and the normal; 0 where wi = wo, and arbitrary where theta_h = 0
 
-    Arc tangents throughout: the arc cosine of the original code loses half of the digits at h = n and at wi = wo.
+    All angles are arc tangents: the arc cosine of the original code loses half of the digits at h = n and at wi = wo.
 
     Rusinkiewicz 1998, section 3.
     """
@@ -66,8 +66,8 @@ def half_difference(wi: Tensor, wo: Tensor) -> HalfDifference:
     d = (wi - wo) / 2  # d: wi less its part along h
     sin = torch.hypot(h[..., 0], h[..., 1])
     cos = h[..., 2]
-    x = torch.where(sin > 0, h[..., 0] / sin, 1.0)
-    y = torch.where(sin > 0, h[..., 1] / sin, 0.0)  # azimuth of h
+    x = torch.where(sin > 0, h[..., 0] / sin, 1.0)  # cosine and sine of the azimuth of h
+    y = torch.where(sin > 0, h[..., 1] / sin, 0.0)
     along = x * d[..., 0] + y * d[..., 1]
     across = x * d[..., 1] - y * d[..., 0]
     theta_d = torch.atan2(d.norm(dim=-1), (wi + wo).norm(dim=-1) / 2)
@@ -91,20 +91,20 @@ class MERL:
     """A table over (theta_h, theta_d, phi_d): 90 x 90 x 180 cells per colour, as the MERL database stores it.
 
     planes (3, 90, 90, 180): values as in the file, R, G, B; times 1, 1.15, 1.66 / 1500 they are in 1/sr. `load` maps
-        them; `MERL(np.array(table.planes))` is a copy in memory.
+        them; `MERL(np.array(table.planes))` is a copy in memory
     interpolation: "linear" in the three angles between cell centres (constant beyond the outermost, around the circle
-        in phi_d), or "nearest", the cell that the database's own code reads.
+        in phi_d), or "nearest", the cell that the database's own code reads
 
     - cell k covers k..k+1 of 90 sqrt(theta_h / 90 deg), of theta_d / 1 deg, and of phi_d / 1 deg modulo 180
-    - reciprocal by construction: phi_d and phi_d + pi are one cell (the original reads the last one at phi_d = pi
-      itself, here the first)
+    - reciprocal by construction: phi_d and phi_d + pi are one cell (at phi_d = pi itself the original reads the last
+      one, and this class the first)
     - a negative value in any colour masks the cell. Masked cells take no part, the other weights are renormalised; the
       value is 0 where no neighbour is left ("nearest": where the cell is masked)
 
     Lookups are not differentiable in the table; they run on the CPU, whatever the directions' device.
 
     Raises:
-        ValueError: planes of another shape, or an unknown interpolation.
+        ValueError: planes have another shape, or the interpolation is unknown.
 
     Matusik et al. 2003; cell numbers as in the database's BRDFRead.cpp.
     """
@@ -138,9 +138,9 @@ class MERL:
 
     @staticmethod
     def write(path: str | PathLike[str], brdf_function: Callable[[Tensor, Tensor], Tensor]) -> None:
-        """Sample f(wi, wo) at the cell centres and store it, a file that `load` reads; f is called with float64.
+        """Sample f(wi, wo) at the cell centres and write a file that `load` reads; f is called with float64.
 
-        brdf_function: (n, 3), (n, 3) -> RGB (n, 3) [1/sr]; a negative value means not measured: the cell is masked,
+        brdf_function: f, (n, 3), (n, 3) -> RGB (n, 3) [1/sr]; a negative value means not measured: the cell is masked,
             like those whose centre is below the horizon
 
         Raises:
@@ -153,11 +153,11 @@ class MERL:
 
     @property
     def masked_cells(self) -> int:
-        """How many of the 1,458,000 cells are masked, those below the horizon among them; reads the whole table."""
+        """The number of masked cells among the 1,458,000, those below the horizon included; reads the whole table."""
         return math.prod(CELLS) - int(((self.planes >= 0) & (self.planes < np.inf)).all(axis=0).sum())
 
     def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
-        """(..., 3), (..., 3) local unit directions -> RGB (..., 3) [1/sr], of their dtype."""
+        """RGB (..., 3) [1/sr] for local unit directions wi and wo (..., 3), in their dtype."""
         above = _above(wi, wo)
         stencils = _STENCILS[self.interpolation](*_cell_coordinates(half_difference(wi, wo), above))
         total = torch.zeros(())
@@ -170,7 +170,7 @@ class MERL:
         return (total / weight.clamp(min=1e-60) * above[..., None].cpu()).to(wi)
 
     def _read(self, h: Tensor, d: Tensor, p: Tensor) -> tuple[Tensor, Tensor]:
-        """Cell numbers (...), which may overrun -> values (..., 3) [1/sr], 0 where masked; and which are valid (...)"""
+        """Values (..., 3) [1/sr] of cells by number (...), which may overrun, 0 where masked, and validity (...)."""
         h = h.clamp(0, CELLS[0] - 1)
         d = d.clamp(0, CELLS[1] - 1)
         p = p % CELLS[2]
@@ -184,10 +184,11 @@ class MERL:
 class NeuralBRDF:
     """A fit of one MERL material by a network of 675 weights, relu(exp(y) - 1) of y = W3 relu(W2 relu(W1 x)).
 
+    name: that of the material
     layers: three times weights (in, out) and biases (out), over 6 -> 21 -> 21 -> 3. x holds h and wi as vectors in
         the frame that has h in the x-z plane: (sin th_h, 0, cos th_h, sin th_d cos phi_d, sin th_d sin phi_d, cos th_d)
 
-    The scale of the MERL colours is in the weights. Reciprocal only as far as the fit is.
+    The scale of the MERL colours is in the weights. A fit is reciprocal only to its own accuracy.
 
     Sztrajman et al. 2021, section 3.
     """
@@ -197,11 +198,13 @@ class NeuralBRDF:
 
     @classmethod
     def load(cls, path: str | PathLike[str], name: str) -> NeuralBRDF:
-        """One material of an .npz with names (n), w1 (n, 6, 21), b1 (n, 21), w2, b2, w3, b3; nothing is unpickled.
+        """The fit of one material in an .npz with names (n), w1 (n, 6, 21), b1 (n, 21), w2, b2, w3, b3.
 
         Raises:
             ValueError: the file is missing or holds something else, or no material has that name; the message has the
                 names closest to it.
+
+        Nothing is unpickled.
         """
         names, *arrays = _arrays(path, "names", "w1", "b1", "w2", "b2", "w3", "b3")
         known = [str(n) for n in names]
@@ -215,7 +218,7 @@ class NeuralBRDF:
 
     @staticmethod
     def names(path: str | PathLike[str]) -> tuple[str, ...]:
-        """The materials that a file holds.
+        """The names of the materials that a file holds.
 
         Raises:
             ValueError: the file is missing or holds something else.
@@ -223,7 +226,7 @@ class NeuralBRDF:
         return tuple(str(n) for n in _arrays(path, "names")[0])
 
     def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
-        """(..., 3), (..., 3) local unit directions -> RGB (..., 3) [1/sr], of their dtype."""
+        """RGB (..., 3) [1/sr] for local unit directions wi and wo (..., 3), in their dtype."""
         theta_h, theta_d, phi_d = half_difference(wi, wo)
         sin_h = torch.sin(theta_h)
         sin_d = torch.sin(theta_d)
@@ -237,26 +240,26 @@ class NeuralBRDF:
         return torch.where(_above(wi, wo)[..., None], value, 0.0)
 
 
-_SHAPES = [(6, 21), (21,), (21, 21), (21,), (21, 3), (3,)]
+_SHAPES = [(6, 21), (21,), (21, 21), (21,), (21, 3), (3,)]  # of the weights and biases of one material
 
 
 def _above(wi: Tensor, wo: Tensor) -> Tensor:
+    """Tell (...) where both directions lie above the horizon."""
     return (wi[..., 2] > 0) & (wo[..., 2] > 0)
 
 
 def _cell_coordinates(angles: HalfDifference, above: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Angles (...) -> coordinates (...), float64 on the CPU, in which cell k is k..k+1; 0 below the horizon."""
+    """Coordinates (...), float64 on the CPU, in which cell k is k..k+1, of angles (...); 0 below the horizon."""
     h, d, p = (torch.where(above, a, 0.0).double().cpu() for a in angles)
     return (h * 2 / math.pi).sqrt() * 90, d * 2 / math.pi * 90, torch.remainder(p, math.pi) / math.pi * 180
 
 
 def _centres(h: int) -> tuple[Tensor, Tensor]:
-    """wi, wo (90 * 180, 3) at the centres of the cells with number h along theta_h, theta_d outside."""
+    """wi and wo (90 * 180, 3) at the centres of the cells with number h along theta_h; phi_d varies fastest."""
     theta_h = torch.tensor(((h + 0.5) / 90) ** 2 * math.pi / 2, dtype=torch.float64)
     theta_d, phi_d = (torch.arange(n, dtype=torch.float64).add(0.5) * (math.pi / 180) for n in CELLS[1:])
     grid = torch.meshgrid(theta_h, theta_d, phi_d, indexing="ij")
-    wi, wo = from_half_difference(*(g.flatten() for g in grid))
-    return wi, wo
+    return from_half_difference(*(angle.flatten() for angle in grid))
 
 
 def _sample(brdf_function: Callable[[Tensor, Tensor], Tensor], h: int) -> Tensor:
@@ -273,11 +276,12 @@ def _sample(brdf_function: Callable[[Tensor, Tensor], Tensor], h: int) -> Tensor
 
 
 def _nearest(h: Tensor, d: Tensor, p: Tensor) -> list[Stencil]:
+    """The cell that holds each coordinate."""
     return [[(x.floor(), torch.ones_like(x))] for x in (h, d, p)]
 
 
 def _linear(h: Tensor, d: Tensor, p: Tensor) -> list[Stencil]:
-    """The two centres around each coordinate; along theta_h, the square of h, linear in the angle."""
+    """The two cells whose centres surround each coordinate; weights along theta_h, the square of h, go by the angle."""
     stencils = []
     for x in (h, d, p):
         low = (x - 0.5).floor()
@@ -292,6 +296,7 @@ _STENCILS: dict[str, Callable[[Tensor, Tensor, Tensor], list[Stencil]]] = {"line
 
 
 def _arrays(path: str | PathLike[str], *keys: str) -> list[npt.NDArray[Any]]:
+    """The arrays of an .npz by their names; nothing is unpickled."""
     if not Path(path).is_file():
         raise ValueError(f"{path}: no such file; expected an .npz of neural BRDFs")
     try:

@@ -1,7 +1,7 @@
 """Shapes: the monochrome BRDFs that materials put their colours around.
 
 Every shape has `evaluate(wi, wo)`: local unit directions (..., 3), (..., 3) -> (...) [1/sr] without the cosine, zero
-where either is at or below the horizon. `isotropic` says that turning both about the normal changes nothing.
+where either is at or below the horizon. `isotropic` says whether turning both about the normal changes nothing.
 
 Parameters are numbers, or tensors of one element that may require gradients.
 """
@@ -24,7 +24,7 @@ Number = float | Tensor
 
 @dataclass(frozen=True)
 class BlinnPhong:
-    """cos(th_h)^exponent, normalised (`ops.brdf.blinn_phong`); exponent 0..1e6, 0 is Lambert."""
+    """Blinn and Phong's cos(th_h)^exponent, normalised (`ops.brdf.blinn_phong`); exponent 0..1e6, 0 is Lambert."""
 
     model: ClassVar[str] = "blinn-phong"
     isotropic: ClassVar[bool] = True
@@ -58,7 +58,7 @@ class CookTorrance:
 class Ward:
     """Ward's bounded form with slopes ax along the tangent, ay along the bitangent (1e-4..1) (`ops.brdf.ward`).
 
-    Without ay it is isotropic.
+    Without ay the shape is isotropic.
     """
 
     model: ClassVar[str] = "ward"
@@ -99,8 +99,8 @@ class GGX:
 class Named:
     """A BRDF of the user's own, known by its name: shapes of one name are the same shape.
 
-    function: f(wi, wo), as `evaluate`. It should be reciprocal, non-negative and isotropic unless `isotropic` is False.
-        None where a saved model was loaded, which holds what it needs of the function in its tensors.
+    function: f(wi, wo), as `evaluate`: reciprocal, non-negative, and isotropic unless `isotropic` is False. It is None
+        in a model that was loaded, whose tensors hold what the model needs of it
     """
 
     model: ClassVar[str] = "named"
@@ -109,7 +109,7 @@ class Named:
     isotropic: bool = field(default=True, compare=False)
 
     def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
-        """As every shape's.
+        """The function's values (...) [1/sr], checked, and zero where a direction is at or below the horizon.
 
         Raises:
             ValueError: the function is missing, or returns negative or non-finite values, or another shape.
@@ -129,7 +129,7 @@ class Named:
 
 @dataclass(frozen=True)
 class Blend:
-    """The sum of shapes times weights >= 0: what lies between the BRDFs of a user's own space."""
+    """The sum of shapes times weights >= 0: a shape between the BRDFs of a user's own space."""
 
     model: ClassVar[str] = "blend"
     shapes: tuple[Shape, ...]
@@ -156,7 +156,7 @@ ANALYTIC: dict[str, type[Analytic]] = {s.model: s for s in (BlinnPhong, CookTorr
 
 
 def parameters(shape: Shape) -> dict[str, Number]:
-    """What defines an analytic shape, by name; those that are left out are missing."""
+    """The parameters of an analytic shape, by name, without those that are None; empty for other shapes."""
     if not isinstance(shape, Analytic):
         return {}
     return {f.name: value for f in fields(shape) if (value := getattr(shape, f.name)) is not None}
@@ -177,10 +177,10 @@ def to_config(shape: Shape) -> dict[str, Any]:
 
 
 def from_config(config: Mapping[str, Any]) -> Shape:
-    """The inverse of `to_config`.
+    """The shape of a config, the inverse of `to_config`.
 
     Raises:
-        ValueError: an unknown model, or values that it does not take.
+        ValueError: the model is unknown, or does not take a value.
     """
     values = dict(config)
     model = values.pop("model", None)
@@ -198,18 +198,18 @@ def number(value: Number) -> float:
     return float(value.detach()) if isinstance(value, Tensor) else float(value)
 
 
-def frozen(shape: Shape) -> tuple[object, ...]:
-    """What a shape is, its parameters as plain numbers: a key that later edits of a parameter do not change."""
+def shape_key(shape: Shape) -> tuple[object, ...]:
+    """A key that tells shapes apart, of plain numbers: later edits of a parameter do not change it."""
     match shape:
         case Named(name, function):
             return shape.model, name, function
         case Blend(parts, weights):
-            return shape.model, *(frozen(part) for part in parts), *(number(w) for w in weights)
+            return shape.model, *(shape_key(part) for part in parts), *(number(w) for w in weights)
     return shape.model, *((name, number(value)) for name, value in parameters(shape).items())
 
 
 def carries_gradient(shape: Shape) -> bool:
-    """Whether a parameter requires a gradient."""
+    """Tell whether a parameter requires a gradient."""
     if isinstance(shape, Blend):
         return any(map(carries_gradient, shape.shapes)) or any(map(_requires_grad, shape.weights))
     return any(map(_requires_grad, parameters(shape).values()))
@@ -219,8 +219,8 @@ def _requires_grad(value: Number) -> bool:
     return isinstance(value, Tensor) and value.requires_grad
 
 
-def turns_alike(shape: Shape) -> bool:
-    """Whether a shape looks isotropic: 4096 pairs, near the mirror direction and far, against their fifth turn."""
+def looks_isotropic(shape: Shape) -> bool:
+    """Tell whether a fifth of a turn changes nothing at 4096 pairs of directions, near the mirror direction and far."""
     random = torch.Generator().manual_seed(0)
     wo, near = torch.randn(2, 4096, 3, generator=random, dtype=torch.float64)
     wo[:, 2].abs_()
@@ -234,7 +234,7 @@ def turns_alike(shape: Shape) -> bool:
 
 
 def check(name: str, value: Number | Sequence[float], low: float, high: float) -> None:
-    """Raises ValueError unless every value is finite and within the bounds."""
+    """Raise ValueError unless every value is finite and within the bounds."""
     v = torch.as_tensor(value, dtype=torch.float64).detach()
     least, most = (float(end) for end in v.aminmax())
     rounded = 1e-6  # float32 may hold a bound a little beside itself
@@ -244,9 +244,10 @@ def check(name: str, value: Number | Sequence[float], low: float, high: float) -
 
 
 def _blend(shapes: Sequence[Mapping[str, Any]], weights: Sequence[float]) -> Blend:
+    """A blend from the configs of its shapes."""
     return Blend(tuple(from_config(s) for s in shapes), tuple(weights))
 
 
-def mirrored(shape: Shape) -> bool:
-    """Whether a shape is surely its own mirror image, along the tangent and along the bitangent."""
+def is_mirror_symmetric(shape: Shape) -> bool:
+    """Tell whether a shape is known to be its own mirror image, along the tangent and along the bitangent."""
     return shape.isotropic or isinstance(shape, Ward)

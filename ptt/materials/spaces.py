@@ -1,4 +1,4 @@
-"""BRDF spaces: sampled shapes of one model, names for some of them, and how to move between (Sun 2007, section 4.2)."""
+"""BRDF spaces: sampled shapes of one model, names for some of them, and the shapes between them (Sun 2007, 4.2)."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from ptt.materials.shapes import GGX, Analytic, Blend, BlinnPhong, CookTorrance,
 from ptt.ops.simplices import Simplices
 
 BRDF = Callable[[Tensor, Tensor], Tensor]  # f(wi, wo): (..., 3), (..., 3) -> (...) [1/sr]
-MERL_SCALE = 1.0, 1.15, 1.66  # of the colours: the published fits lack it
+MERL_SCALE = 1.0, 1.15, 1.66  # of red, green and blue in MERL's tables: the published fits lack it
 EXPONENTS = tuple(200 ** (k / 40) for k in range(41))  # 1..200, a seventh apart
-MODERATE = tuple(2 ** (k / 4) for k in range(25))  # 1..64: what a tensor shows well without lobes
+MODERATE = tuple(2 ** (k / 4) for k in range(25))  # 1..64: exponents that a tensor shows well without lobes
 SLOPES = tuple(0.03 * 30 ** (k / 24) for k in range(25))  # 0.03..0.9
 ROUGHNESSES = tuple(0.1 ** (1 - k / 24) for k in range(25))  # 0.1..1
 
 
 @dataclass(frozen=True, eq=False)
 class BRDFSpace:
-    """Sampled shapes: those of one analytic model, with what lies between them, and any number of named BRDFs.
+    """Sampled shapes of one analytic model, with all shapes between them, and any number of named BRDFs.
 
     samples (h): analytic shapes of one model of which one or two parameters vary, and `Named` ones of the user's own
-    materials: by name, those that `material` and `path` know
-    clamped: an analytic shape outside of the samples is the nearest one inside (True), or refused
+    materials: the materials that `material` and `path` know, by name
+    clamped: says whether an analytic shape outside of the samples becomes the nearest one inside, or is refused
 
     Between analytic samples the space is linear: along exponents, bilinear on a grid (Ward's slopes, GGX), barycentric
     in a plane that is triangulated otherwise.
@@ -45,7 +45,7 @@ class BRDFSpace:
         space.path("gold-metallic-paint", "chrome", steps=24)       # an animation
 
     Raises:
-        ValueError: no samples, analytic ones of several models, or the same sample twice.
+        ValueError: there are no samples, analytic ones of several models, or the same sample twice.
 
     Sun et al. 2007, section 4.2.
     """
@@ -64,14 +64,14 @@ class BRDFSpace:
         if len({str(shapes.to_config(s)) for s in self.samples}) < len(self.samples):
             raise ValueError("samples must differ, got the same parameters or the same name twice")
         if self._analytic:
-            _ = self._simplices  # refuses now what it cannot triangulate
+            _ = self._simplices  # samples that cannot be triangulated are refused now
 
     @classmethod
     def blinn_phong(cls, exponents: Sequence[float] = EXPONENTS) -> BRDFSpace:
-        """Ascending exponents; the default has 41 in 1..200, where the paper has every integer.
+        """Blinn-Phong shapes of ascending exponents; the default has 41 in 1..200, where the paper has every integer.
 
         Raises:
-            ValueError: not ascending, or outside of 0..1e6.
+            ValueError: the exponents do not ascend, or leave 0..1e6.
         """
         if not exponents or any(a >= b for a, b in pairwise(exponents)):
             raise ValueError(f"exponents must hold ascending values, got {tuple(exponents)}")
@@ -83,19 +83,20 @@ class BRDFSpace:
         """The 86 Cook-Torrance materials of Ngan et al. 2005 (`ptt/data/README.md`), in MERL's colours."""
         text = resources.files("ptt").joinpath("data", "ngan_cooktorrance.csv").read_text()
 
+        def colour(row: dict[str, str], key: str) -> list[float]:
+            return [scale * float(row[f"{key}_{c}"]) for scale, c in zip(MERL_SCALE, "rgb", strict=True)]
+
         def material(row: dict[str, str]) -> Material:
-            kd, ks = (
-                [scale * float(row[f"{k}_{c}"]) for scale, c in zip(MERL_SCALE, "rgb", strict=True)]
-                for k in ("kd", "ks")
-            )
-            return Material(kd, ks, CookTorrance(float(row["F0"]), float(row["m"])))
+            diffuse = colour(row, "kd")
+            specular = colour(row, "ks")
+            return Material(diffuse, specular, CookTorrance(float(row["F0"]), float(row["m"])))
 
         named = {row["material"]: material(row) for row in csv.DictReader(text.splitlines())}
         return cls(tuple(m.shape for m in named.values() if m.shape), named, clamped=True)
 
     @classmethod
     def ward(cls, slopes: Sequence[float] | None = None, anisotropic: bool = False) -> BRDFSpace:
-        """Ward shapes of the given slopes, of 25 in 0.03..0.9; anisotropic ones of all pairs, of 7 in this range."""
+        """Ward shapes of the given slopes, 25 in 0.03..0.9 by default; anisotropic: of all pairs, by default of 7."""
         if anisotropic:
             slopes = slopes or SLOPES[::4]
             return cls(tuple(Ward(x, y) for x in slopes for y in slopes))
@@ -117,14 +118,14 @@ class BRDFSpace:
 
     @property
     def isotropic(self) -> bool:
-        """Whether every sample is."""
+        """Tell whether every sample is isotropic."""
         return all(shape.isotropic for shape in self.samples)
 
     def with_brdf(self, name: str, brdf: BRDF | Material) -> BRDFSpace:
         """The space with one more sample: a function f(wi, wo), or a material's shape, by name.
 
         Raises:
-            ValueError: the name is taken, the material has no shape, or the function returns what no BRDF does.
+            ValueError: the name is taken, the material has no shape, or the function returns values that no BRDF has.
         """
         if name in self.materials:
             raise ValueError(f"name {name!r} is taken: the space has a material of that name")
@@ -136,7 +137,7 @@ class BRDFSpace:
         """The material of that name.
 
         Raises:
-            ValueError: no such name; the message suggests the nearest ones.
+            ValueError: no material has that name; the message suggests the nearest ones.
         """
         if name not in self.materials:
             near = difflib.get_close_matches(name, self.materials, 5, 0.3)
@@ -147,7 +148,7 @@ class BRDFSpace:
         """The analytic shape with these parameters: `space.at(F0=0.4, m=0.2)` (or f0).
 
         Raises:
-            ValueError: unknown or missing parameters, or a point outside of a space that does not clamp.
+            ValueError: parameters are unknown or missing, or lie outside of a space that does not clamp.
         """
         if not self._analytic:
             raise ValueError(f"the space holds BRDFs by name, not by parameters: {', '.join(self.materials)}")
@@ -159,11 +160,11 @@ class BRDFSpace:
         reached = self._weights(shape) @ self._simplices.points
         if not self.clamped:
             return shape
-        inside = {
-            name: value.to(given[name]) if isinstance(given[name], Tensor) else shapes.number(value)
-            for name, value in zip(self._axes, reached, strict=True)
-        }
-        return type(shape)(**(valid | inside))
+        inside: dict[str, Number] = dict(valid)
+        for name, value in zip(self._axes, reached, strict=True):
+            wanted = given[name]
+            inside[name] = value.to(wanted) if isinstance(wanted, Tensor) else shapes.number(value)
+        return type(shape)(**inside)
 
     @overload
     def path(self, start: Shape, end: Shape, steps: int) -> list[Shape]: ...
@@ -175,11 +176,12 @@ class BRDFSpace:
         Analytic shapes move along a line through their parameters, named BRDFs blend.
 
         Raises:
-            ValueError: fewer than two steps, an unknown name, or an end outside of the space.
+            ValueError: steps are fewer than two, a name is unknown, or an end lies outside of the space.
         """
         if steps < 2:
             raise ValueError(f"steps must be at least 2, got {steps}")
-        start, end = (self.material(x) if isinstance(x, str) else x for x in (start, end))
+        start = self.material(start) if isinstance(start, str) else start
+        end = self.material(end) if isinstance(end, str) else end
         along = torch.linspace(0, 1, steps, dtype=torch.float64).tolist()
         if isinstance(start, Material) and isinstance(end, Material):
             return [self._material_between(start, end, t) for t in along]
@@ -193,7 +195,7 @@ class BRDFSpace:
         They are >= 0, at most four of them are not zero, and they sum to 1 (those of a `Blend`: to its weights' sum).
 
         Raises:
-            ValueError: a shape of another model, an unknown name, or parameters outside of the samples.
+            ValueError: the shape is of another model, its name unknown, or its parameters outside of the samples.
         """
         if isinstance(shape, Blend):
             parts = zip(shape.weights, shape.shapes, strict=True)
@@ -206,7 +208,7 @@ class BRDFSpace:
         return torch.zeros(len(self.samples), dtype=torch.float64).index_put((self._rows,), weights)
 
     def resolved(self, shape: Shape | Tensor) -> Tensor:
-        """The coordinates (h,) of a shape; a tensor is taken for them."""
+        """The coordinates (h,) of a shape; a tensor is taken for coordinates."""
         return shape if isinstance(shape, Tensor) else self.coordinates(shape)
 
     def to_config(self) -> dict[str, Any]:
@@ -217,11 +219,12 @@ class BRDFSpace:
 
     @classmethod
     def from_config(cls, config: Mapping[str, Any]) -> BRDFSpace:
-        """The inverse of `to_config`; named BRDFs come back without their functions."""
+        """The space of a config, the inverse of `to_config`; named BRDFs come back without their functions."""
         materials = {name: mat.from_config(material) for name, material in config["materials"].items()}
         return cls(tuple(shapes.from_config(s) for s in config["samples"]), materials, config["clamped"])
 
     def _by_name(self, name: str) -> Tensor:
+        """The coordinates (h,) of a named BRDF."""
         names = [s.name if isinstance(s, Named) else None for s in self.samples]
         if name not in names:
             known = ", ".join(n for n in names if n) or "none"
@@ -232,7 +235,7 @@ class BRDFSpace:
         """Weights of the analytic samples.
 
         Raises:
-            ValueError: the shape lies outside of a space that does not clamp, or differs in what does not vary.
+            ValueError: the shape lies outside of a space that does not clamp, or differs in a parameter that is fixed.
         """
         place = self._place(shape)
         points = self._simplices.points
@@ -249,30 +252,37 @@ class BRDFSpace:
         """A shape as a point (d,) on the axes that vary.
 
         Raises:
-            ValueError: it lies outside of the samples' range in a space that does not clamp, or has other parameters.
+            ValueError: the shape lies outside of a space that does not clamp, or has other parameters.
         """
         given = shapes.parameters(shape)
         first = shapes.parameters(self._analytic[0])
         if given.keys() != first.keys():
             raise ValueError(f"{shape.model} must have {', '.join(first)} here, got {', '.join(given)}")
         for name, value in given.items():
-            a, b = self._bounds.get(name, (shapes.number(first[name]),) * 2)
-            if not self.clamped and not a * (1 - 1e-6) <= shapes.number(value) <= b * (1 + 1e-6):
-                raise ValueError(f"{name} must be in {a:g}..{b:g}, the model's space, got {shapes.number(value):g}")
+            fixed = shapes.number(first[name])
+            low, high = self._bounds.get(name, (fixed, fixed))
+            wanted = shapes.number(value)
+            if not self.clamped and not low * (1 - 1e-6) <= wanted <= high * (1 + 1e-6):
+                raise ValueError(f"{name} must be in {low:g}..{high:g}, the model's space, got {wanted:g}")
         return torch.stack([torch.as_tensor(given[name], dtype=torch.float64).cpu() for name in self._axes])
 
     def _between(self, start: Shape, end: Shape, t: float) -> Shape:
+        """The shape at t in 0..1 of the way."""
         for shape in (start, end):
             self.coordinates(shape)  # refuses what is not in the space
         if isinstance(start, Named | Blend) or isinstance(end, Named | Blend):
             return Blend((start, end), (1 - t, t))
-        ends = zip(shapes.parameters(start).items(), shapes.parameters(end).values(), strict=True)
-        return self.at(**{name: shapes.number(a) + t * (shapes.number(b) - shapes.number(a)) for (name, a), b in ends})
+        along = {}
+        for (name, first), last in zip(shapes.parameters(start).items(), shapes.parameters(end).values(), strict=True):
+            a = shapes.number(first)
+            along[name] = a + t * (shapes.number(last) - a)
+        return self.at(**along)
 
     def _material_between(self, start: Material, end: Material, t: float) -> Material:
         if start.shape is None or end.shape is None:
             raise ValueError("both materials of a path must have a shape")
-        diffuse, specular = (torch.lerp(getattr(start, k), getattr(end, k), t) for k in ("diffuse", "specular"))
+        diffuse = torch.lerp(start.diffuse, end.diffuse, t)
+        specular = torch.lerp(start.specular, end.specular, t)
         return Material(diffuse, specular, self._between(start.shape, end.shape, t))
 
     @property
@@ -285,14 +295,15 @@ class BRDFSpace:
 
     @cached_property
     def _axes(self) -> tuple[str, ...]:
-        """Names of the parameters that vary among the analytic samples; of a single sample, its first."""
+        """Names of the parameters that vary among the analytic samples; a single sample has its first parameter."""
         table = [shapes.parameters(s) for s in self._analytic]
-        varying = tuple(name for name in table[0] if len({shapes.number(row[name]) for row in table}) > 1)
+        values = {name: {shapes.number(row[name]) for row in table} for name in table[0]}
+        varying = tuple(name for name, different in values.items() if len(different) > 1)
         return varying or tuple(table[0])[:1]
 
     @cached_property
     def _bounds(self) -> dict[str, tuple[float, float]]:
-        """Of the parameters that vary."""
+        """The least and the greatest value of every parameter that varies."""
         points = self._simplices.points
         low = points.amin(0).tolist()
         high = points.amax(0).tolist()
@@ -300,7 +311,7 @@ class BRDFSpace:
 
     @cached_property
     def _rows(self) -> Tensor:
-        """Which samples are analytic."""
+        """Numbers of the analytic samples."""
         return torch.tensor([h for h, s in enumerate(self.samples) if isinstance(s, Analytic)])
 
     @cached_property
@@ -313,15 +324,16 @@ def fitted(name: str) -> Material:
     """A measured material by its MERL name, as fitted by Ngan et al. 2005: `ptt.fitted("gold-metallic-paint")`.
 
     Raises:
-        ValueError: no such name; the message suggests the nearest ones.
+        ValueError: no material has that name; the message suggests the nearest ones.
     """
     return BRDFSpace.fitted().material(name)
 
 
 def _named_material(name: str, given: BRDF | Material) -> Material:
-    """Under its own name, so that edits of its colours keep the shape."""
+    """A material whose shape has the given name, so that edits of its colours keep the shape."""
     if not isinstance(given, Material):
-        return Material(0.0, 1.0, Named(name, given, shapes.turns_alike(Named(name, given))))
+        isotropic = shapes.looks_isotropic(Named(name, given))
+        return Material(0.0, 1.0, Named(name, given, isotropic))
     if given.shape is None:
         raise ValueError(f"material {name!r} must have a shape")
     return Material(given.diffuse, given.specular, Named(name, given.shape.evaluate, given.shape.isotropic))

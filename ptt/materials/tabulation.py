@@ -14,8 +14,8 @@ from ptt.ops.albedo import albedo
 from ptt.ops.sphere import Disk
 
 DIFFUSE = 0.02  # quantile of a measured BRDF that counts as its diffuse part: the least values are noise
-NOISE = 1e-6  # of the diffuse part: a shape of no more albedo is rounding
-TEXELS = 20  # across the disk on which RGB data are separated
+NOISE = 1e-6  # share of the diffuse part: a shape whose albedo is no more is rounding
+TEXELS = 20  # across the disk on which RGB data are separated: finer data take longer, as the fourth power
 
 
 def tabulated(values: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
@@ -25,7 +25,7 @@ def tabulated(values: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
     that lie mostly outside of the unit circle are not read. Bilinear between cells.
 
     Raises:
-        ValueError: another shape, or values in use that are negative or not finite.
+        ValueError: values have another shape, or are negative or not finite where they are read.
     """
     n = values.shape[0] if values.ndim == 4 else 0
     if values.shape != (n,) * 4 or not n:
@@ -50,9 +50,9 @@ def separate(name: str, brdf: Callable[[Tensor, Tensor], Tensor], isotropic: boo
         gold = ptt.separate("gold", ptt.MERL.load("gold-metallic-paint.binary").evaluate)
 
     f ~ diffuse / pi + specular * shape: the diffuse part is the 2 % quantile of each colour over directions by
-    projected solid angle, and the shape the best common factor of what is left, in the L2 norm. Its albedo is 1 at its
-    largest among 0, 30 and 60 degrees, so that `specular` is an albedo too. What differs in colour between highlight
-    and gloss is lost.
+    projected solid angle, and the shape the best common factor of what is left, in the L2 norm. The largest albedo of
+    the shape at 0, 30 and 60 degrees is 1, so that `specular` is an albedo too. Differences in colour between highlight
+    and gloss are lost.
 
     Raises:
         ValueError: f returns another shape, or values that are not finite.
@@ -67,17 +67,19 @@ def separate(name: str, brdf: Callable[[Tensor, Tensor], Tensor], isotropic: boo
     rest = (values - level).clamp(min=0)
     colour = torch.linalg.eigh(rest.T @ rest).eigenvectors[:, -1].abs()
 
-    def shape(wi: Tensor, wo: Tensor) -> Tensor:
-        value: Tensor = (brdf(wi, wo) - level.to(wi)).clamp(min=0) @ (colour.to(wi) * scale)
-        return value
+    def scaled(scale: float) -> Callable[[Tensor, Tensor], Tensor]:
+        def shape(wi: Tensor, wo: Tensor) -> Tensor:
+            value: Tensor = (brdf(wi, wo) - level.to(wi)).clamp(min=0) @ (colour.to(wi) * scale)
+            return value
 
-    scale = 1.0
+        return shape
+
     out = torch.tensor([[0.0, 0.0, 1.0], [0.5, 0.0, 0.75**0.5], [0.75**0.5, 0.0, 0.5]], dtype=torch.float64)
-    size = float(albedo(shape, out).max())
+    size = float(albedo(scaled(1.0), out).max())
+    diffuse = (level * math.pi).float()
     if size <= NOISE * math.pi * float(level.max()):
-        return Material((level * math.pi).float())
-    scale = 1 / size
-    return Material((level * math.pi).float(), (colour * size).float(), Named(name, shape, isotropic))
+        return Material(diffuse)
+    return Material(diffuse, (colour * size).float(), Named(name, scaled(1 / size), isotropic))
 
 
 def _corners(directions: Tensor, n: int) -> list[tuple[Tensor, Tensor]]:

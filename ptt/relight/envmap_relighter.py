@@ -14,7 +14,7 @@ from ptt.imaging.gbuffer import GBuffer
 from ptt.light import prefiltered as light_maps
 from ptt.light.environment import Environment
 from ptt.light.prefiltered import LightMaps
-from ptt.materials.material import Material, dressed
+from ptt.materials.material import Material, materials_of_regions
 from ptt.materials.shapes import Shape
 from ptt.models.cache import Cache, watched
 from ptt.models.light_rotation import LightRotation
@@ -161,7 +161,7 @@ class EnvMapRelighter(nn.Module):
         Raises:
             ValueError: an unknown region, or a view of another shape.
         """
-        own = dressed(self.scene.materials, materials)
+        own = materials_of_regions(self.scene.materials, materials)
         if isinstance(view, GBuffer):
             placed: list[Placed] = self._pixels(view, lambda: self._of_pixels(view))
             points = len(view.pixel)

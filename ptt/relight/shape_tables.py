@@ -7,7 +7,7 @@ from typing import Generic, TypeVar
 
 import torch
 
-from ptt.materials.shapes import Shape, carries_gradient, frozen
+from ptt.materials.shapes import Shape, carries_gradient, shape_key
 
 T = TypeVar("T")
 REMEMBERED = 8
@@ -28,7 +28,7 @@ class ShapeTables(Generic[T]):
         """
         if shape is not None and torch.is_grad_enabled() and carries_gradient(shape):
             raise ValueError("shapes carry no gradients here: detach the parameters, or use TransferRelighter")
-        key = None if shape is None else frozen(shape), device
+        key = None if shape is None else shape_key(shape), device
         if key not in self._kept:
             while len(self._kept) >= REMEMBERED:
                 self._kept.pop(next(iter(self._kept)))

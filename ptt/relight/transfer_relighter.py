@@ -69,7 +69,7 @@ class TransferRelighter(nn.Module):
 
     def _chosen(self, materials: Mapping[str, Material]) -> dict[str, Material]:
         own = self.model.receivers
-        chosen = mat.dressed(own.materials, materials)
+        chosen = mat.materials_of_regions(own.materials, materials)
         for name, editable in zip(own.names, own.editable, strict=True):
             given = materials.get(name)
             if given is not None and not editable and mat.to_config(given) != mat.to_config(own.materials[name]):

@@ -15,8 +15,8 @@ from ptt.imaging.gbuffer import GBuffer
 from ptt.light import prefiltered as light_maps
 from ptt.light.environment import Environment
 from ptt.light.prefiltered import LightMaps
-from ptt.materials.material import Material, Mixed, dressed
-from ptt.materials.shapes import Shape, mirrored
+from ptt.materials.material import Material, Mixed, materials_of_regions
+from ptt.materials.shapes import Shape, is_mirror_symmetric
 from ptt.models.cache import Cache, watched
 from ptt.ops import haar, local, native, near, relight, rotation, shade
 from ptt.ops.geodesic import Geodesic
@@ -164,7 +164,7 @@ class TripleProductRelighter(nn.Module):
         self, light: Environment | Table, materials: Mapping[str, Material | Mixed], view: View | GBuffer
     ) -> tuple[Functions, Coats, Points]:
         """What `ops.shade.shade` multiplies; `forward` is that function of these."""
-        own = list(dressed(self.scene.materials, materials, mixed=True).values())
+        own = list(materials_of_regions(self.scene.materials, materials, mixed=True).values())
         at = self._located(view, brushed=any(map(_brushed, own)))
         eye = (
             torch.tensor(view.camera.eye).to(at.positions) if isinstance(view, GBuffer) else toward(view, at.positions)
@@ -283,7 +283,7 @@ class TripleProductRelighter(nn.Module):
         if shape is None:
             table = torch.zeros(self.views**2, self.grid.cells)
         else:
-            table = local.brdf_table(shape.evaluate, self.grid, self.views, mirrored(shape))
+            table = local.brdf_table(shape.evaluate, self.grid, self.views, is_mirror_symmetric(shape))
         return Table(*(x.to(self.dull.device) for x in stored(table, self.storage)))
 
     def _checked(self, light: Table) -> Table:

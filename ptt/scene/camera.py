@@ -10,16 +10,19 @@ import torch
 from torch import Tensor
 
 Vector = tuple[float, float, float]
+PARALLEL = 1e-9  # sine of the least angle between up and the view
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera.
+    """A pinhole camera that looks from an eye to a target.
 
-    eye, target, up: world space; fov: vertical angle of view [degrees]; width, height: of the image [pixels]
+    eye, target, up: positions, and a direction, in world space
+    fov: vertical angle of view [degrees]
+    width, height: size of the image [pixels]
 
     Raises:
-        ValueError: no direction of view, up along it, fov outside (0, 180), or an empty image.
+        ValueError: eye and target coincide, up runs along the view, fov is outside (0, 180), or the image is empty.
     """
 
     eye: Vector
@@ -56,15 +59,16 @@ class Camera:
         return replace(self, eye=around)
 
     def axes(self) -> Tensor:
-        """(3, 3) float64: unit vectors to the right, up, and ahead in the image."""
+        """Unit vectors (3, 3) float64: to the right, up, and ahead in the image."""
         return torch.tensor(self._axes(), dtype=torch.float64)
 
     def _axes(self) -> tuple[Vector, Vector, Vector]:
-        (ex, ey, ez) = self.eye
-        (tx, ty, tz) = self.target
+        """`axes` as numbers; NaN where there is no view, or up runs along it."""
+        ex, ey, ez = self.eye
+        tx, ty, tz = self.target
         ahead = _unit((tx - ex, ty - ey, tz - ez))
-        right = _cross(ahead, _unit(self.up))
-        right = _unit(right) if math.hypot(*right) > 1e-9 else (math.nan, math.nan, math.nan)
+        across = _cross(ahead, _unit(self.up))
+        right = _unit(across) if math.hypot(*across) > PARALLEL else (math.nan, math.nan, math.nan)
         return right, _cross(right, ahead), ahead
 
     def rays(self) -> tuple[Tensor, Tensor]:
@@ -83,10 +87,12 @@ class Camera:
 
 
 def _centres(count: int) -> Tensor:
+    """Middles (count,) of equal steps from -1 to 1."""
     return (torch.arange(count, dtype=torch.float64) + 0.5) * (2 / count) - 1
 
 
 def _unit(x: Vector) -> Vector:
+    """The vector scaled to length 1; NaN for zero."""
     size = math.hypot(*x) or math.nan
     return (x[0] / size, x[1] / size, x[2] / size)
 

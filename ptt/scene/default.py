@@ -15,7 +15,7 @@ from ptt.scene.camera import Camera
 from ptt.scene.parts import Part, transformed
 from ptt.scene.scene import Scene
 
-GAP = 0.004  # between the floor and what stands on it
+GAP = 0.004  # distance between the floor and what stands on it, so that no triangles touch
 
 
 def default_scene() -> Scene:
@@ -35,7 +35,7 @@ def default_scene() -> Scene:
 
 
 def _floor(size: float, cells: int) -> tuple[Tensor, Tensor]:
-    """A square grid, finest in the middle, where shadows fall: 0.45 of the even spacing, 2.1 at the rim."""
+    """A square grid, finest in the middle, where shadows fall: 0.45 of the even spacing there, 2.1 of it at the rim."""
     vertices, faces = mesh.plane_mesh(2.0, cells)
     return (0.45 * vertices + 0.55 * vertices**3) * (size / 2), faces
 

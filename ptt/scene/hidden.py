@@ -10,22 +10,21 @@ from torch import Tensor
 from ptt.ops.octahedral import Octahedral
 from ptt.scene.scene import Scene
 
-SIDE = 16  # of the octahedral grid of directions that are tried
-AT_ONCE = 32  # directions
+TRIED_SIDE = 16  # cells along an edge of the octahedral grid of directions that are tried
+DIRECTIONS_AT_ONCE = 32  # after which points that see out drop out: fewer rays, more calls
 
 
 def without_hidden(scene: Scene) -> Scene:
     """The scene without the triangles that see no way out, nor their vertices.
 
     A triangle stays where a ray from one of its corners or its middle, to either side, meets nothing; 256 directions
-    are tried. Nobody outside sees the others, and no light comes to them but through slits.
+    are tried. Nobody outside sees the triangles that are dropped, and no light reaches them but through slits.
 
     Raises:
         ValueError: a whole region is hidden.
     """
     faces = scene.faces
-    seen = _sees_out(scene, scene.points, scene.normals)
-    keep = seen[faces].any(1)
+    keep = _sees_out(scene, scene.points, scene.normals)[faces].any(1)
     unsure = torch.nonzero(~keep)[:, 0]
     corners = scene.vertices[faces[unsure]]
     across = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -40,11 +39,11 @@ def without_hidden(scene: Scene) -> Scene:
 
 
 def _sees_out(scene: Scene, points: Tensor, normals: Tensor) -> Tensor:
-    """Whether a ray (n,) leads out of the scene from each point (n, 3) of its surface."""
-    directions = Octahedral(SIDE).directions().reshape(-1, 3)
+    """Tell (n,) whether a ray leads out of the scene from each point (n, 3) of its surface."""
+    directions = Octahedral(TRIED_SIDE).directions().reshape(-1, 3)
     directions = directions[torch.randperm(len(directions), generator=torch.Generator().manual_seed(0))]
     found = torch.zeros(len(points), dtype=torch.bool)
-    for some in directions.split(AT_ONCE):
+    for some in directions.split(DIRECTIONS_AT_ONCE):
         blind = torch.nonzero(~found)[:, 0]
         normal = normals[blind, None].double()
         side = torch.where((normal * some).sum(2, keepdim=True) > 0, normal, -normal)  # shape: (blind, some, 3)

@@ -1,13 +1,14 @@
 """Mesh files, read through trimesh: .ply, .obj, .stl, .gltf, .glb.
 
-What becomes a region, by its name:
+A region is named after what it comes from:
 
-- glTF: each mesh (each primitive of one, where it has several), all its instances in world space together.
-- OBJ: each material, where there are several. Others: the whole file, under its stem.
+- glTF: each mesh (each primitive of one, where it has several) is a region, all its instances in world space together.
+- OBJ: each material is a region, where there are several.
+- Other files are one region, named by the stem.
 
 Base colour: glTF's baseColorFactor and MTL's Kd are linear and become the material's diffuse. Textures, and
 the vertex colours of PLY and OBJ, are sRGB and are decoded; glTF's vertex colours are linear. trimesh holds
-glTF's factors in 8 bits. A texture outdoes vertex colours.
+glTF's factors in 8 bits. A texture overrides vertex colours.
 
 glTF's metallic-roughness becomes Blinn-Phong: diffuse = 0.96 (1 - metallic) base,
 specular = 0.04 (1 - metallic) + metallic base, exponent = 2 / roughness^4 - 2, kept within 1..200. MTL's Ks
@@ -34,7 +35,8 @@ from ptt.scene.parts import Part, join, transformed
 
 FORMATS = (".ply", ".obj", ".stl", ".gltf", ".glb")
 GLTF = (".gltf", ".glb")
-EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")  # Pillow's modes
+EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")  # Pillow's modes of at most 8 bits a channel
+EXPONENTS = (1.0, 200.0)  # the range of `BRDFSpace.blinn_phong`, in which exponents from files are kept
 
 
 def read_parts(path: Path) -> list[Part]:
@@ -48,10 +50,14 @@ def read_parts(path: Path) -> list[Part]:
     """
     scene = _open(path)
     suffix = path.suffix.lower()
-    solid = {k: g for k, g in scene.geometry.items() if hasattr(g, "faces") and len(g.faces)}
-    sources = {name: _part(name, geometry, suffix in GLTF) for name, geometry in solid.items()}
+    sources = {
+        name: _part(name, geometry, suffix in GLTF)
+        for name, geometry in scene.geometry.items()
+        if hasattr(geometry, "faces") and len(geometry.faces)
+    }
     placed: dict[str, list[Part]] = {name: [] for name in sources}
-    for matrix, name in (scene.graph[node] for node in scene.graph.nodes_geometry):
+    for node in scene.graph.nodes_geometry:
+        matrix, name = scene.graph[node]
         if name in sources:
             placed[name].append(transformed(sources[name], _tensor(matrix)))
     parts = [join(name, instances) for name, instances in placed.items() if instances]
@@ -83,6 +89,7 @@ def read_texture(image: Path | Image.Image) -> Tensor:
 
 
 def _open(path: Path) -> Any:
+    """The file as a scene of trimesh."""
     import trimesh
 
     if path.suffix.lower() not in FORMATS:
@@ -96,6 +103,7 @@ def _open(path: Path) -> Any:
 
 
 def _part(name: str, geometry: Any, gltf: bool) -> Part:
+    """A mesh of trimesh as ours."""
     normals = geometry.vertex_normals if "vertex_normals" in geometry._cache else None  # the file's own only
     material, image = _material(getattr(geometry.visual, "material", None))
     uv = getattr(geometry.visual, "uv", None)
@@ -112,6 +120,7 @@ def _part(name: str, geometry: Any, gltf: bool) -> Part:
 
 
 def _vertex_colours(visual: Any, gltf: bool) -> Tensor | None:
+    """Linear colours (v, 3) of trimesh's visual, None where it has none."""
     if visual.kind in ("vertex", "face"):
         colours = visual.vertex_colors
     elif (colours := getattr(visual, "vertex_attributes", {}).get("color")) is None:
@@ -127,23 +136,30 @@ def _material(material: Any) -> tuple[Material | None, Any]:
         base = _linear(material.baseColorFactor)
         metal = 1.0 if material.metallicFactor is None else float(material.metallicFactor)
         rough = 1.0 if material.roughnessFactor is None else float(material.roughnessFactor)
-        exponent = min(max(2 / max(rough, 0.1) ** 4 - 2, 1.0), 200.0)
-        shine = 0.04 * (1 - metal) + metal * base
-        return blinn_phong(0.96 * (1 - metal) * base, shine, exponent), material.baseColorTexture
+        exponent = _kept_exponent(2 / max(rough, 0.1) ** 4 - 2)
+        specular = 0.04 * (1 - metal) + metal * base
+        return blinn_phong(0.96 * (1 - metal) * base, specular, exponent), material.baseColorTexture
     image = getattr(material, "image", None)
     mtl = getattr(material, "kwargs", {})
     if mtl or (image is not None and "file_path" in image.info):  # trimesh's stand-in has neither
-        diffuse, specular = (torch.as_tensor(mtl.get(k, d)) for k, d in (("kd", 1.0), ("ks", 0.0)))
-        exponent = min(max(float(mtl.get("ns", 20.0)), 1.0), 200.0)
-        return blinn_phong(diffuse.clamp(0, 1), specular.clamp(min=0), exponent), image
+        diffuse = torch.as_tensor(mtl.get("kd", 1.0)).clamp(0, 1)
+        specular = torch.as_tensor(mtl.get("ks", 0.0)).clamp(min=0)
+        return blinn_phong(diffuse, specular, _kept_exponent(float(mtl.get("ns", 20.0)))), image
     return None, None
 
 
+def _kept_exponent(exponent: float) -> float:
+    least, most = EXPONENTS
+    return min(max(exponent, least), most)
+
+
 def _linear(factor: Any) -> Tensor:
+    """Linear RGB (3,) of a factor that trimesh holds in 8 bits; white for None."""
     return torch.ones(3) if factor is None else _tensor(factor[:3]) / 255
 
 
 def _per_format(part: Part, suffix: str) -> Part:
+    """The part with the vertices and normals that its format leaves to the reader."""
     if suffix == ".stl":
         vertices, faces, _ = mesh.weld(part.vertices, part.faces)
         return replace(part, vertices=vertices, faces=faces, normals=None)
@@ -154,7 +170,7 @@ def _per_format(part: Part, suffix: str) -> Part:
 
 
 def _missing_files(path: Path) -> list[str]:
-    """Material libraries and textures that an OBJ names and that are not there: trimesh passes over them."""
+    """Material libraries and textures that an OBJ names and that do not exist: trimesh passes over them."""
     missing = []
     for library in _mentions(path, "mtllib"):
         if not (path.parent / library).is_file():
@@ -166,7 +182,7 @@ def _missing_files(path: Path) -> list[str]:
 
 
 def _mentions(path: Path, keyword: str) -> list[str]:
-    """What follows a keyword at the start of a line, once for each line that has it."""
+    """The text after a keyword at the start of a line, for each line that has it."""
     words = [line.split(None, 1) for line in path.read_text(errors="replace").splitlines()]
     return [w[1].strip() for w in words if len(w) == 2 and w[0].lower() == keyword.lower()]
 

@@ -1,4 +1,4 @@
-"""Geometry before it is a scene: parts, one a region; checked, repaired, placed and joined."""
+"""Geometry before it is a scene: parts, each of which becomes a region, are checked, repaired, placed and joined."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ptt.ops import mesh
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One region as it comes; the fields are explained at `Scene.from_mesh`."""
+    """One region as a file or a user gives it; `Scene.from_mesh` explains the fields."""
 
     name: str
     vertices: Tensor
@@ -29,8 +29,11 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
-    """A part that is sound: float32 and int64, unit normals and tangents, no triangle without area."""
+class PreparedPart:
+    """A part that is sound: float32 and int64, unit normals and tangents, no triangle without area.
+
+    dropped: triangles without area that it lost; renewed: vertices whose normal was repaired
+    """
 
     vertices: Tensor
     faces: Tensor
@@ -49,7 +52,7 @@ def default_material(coloured: bool = False) -> Material:
     return blinn_phong(0.96 if coloured else 0.6, 0.04, 20.0)
 
 
-def prepare(parts: Sequence[Part]) -> list[Prepared]:
+def prepare(parts: Sequence[Part]) -> list[PreparedPart]:
     """Check and repair parts as `Scene.from_parts` says, with one warning that counts the repairs."""
     prepared = []
     for part in parts:
@@ -65,7 +68,7 @@ def prepare(parts: Sequence[Part]) -> list[Prepared]:
     return prepared
 
 
-def _prepare(part: Part) -> Prepared:
+def _prepare(part: Part) -> PreparedPart:
     vertices = torch.as_tensor(part.vertices)
     faces = torch.as_tensor(part.faces)
     vertices = vertices.float() if vertices.is_floating_point() else vertices
@@ -81,12 +84,22 @@ def _prepare(part: Part) -> Prepared:
     normals, renewed = _normals(part, vertices, faces)
     if texture is not None and uv is not None:
         colours = mesh.sample_texture(texture, uv)
+    elif part.colours is not None:
+        colours = _rows("colours", part.colours, (count, 3))
     else:
-        colours = torch.ones(count, 3) if part.colours is None else _rows("colours", part.colours, (count, 3))
-    material = part.material or default_material(texture is not None or part.colours is not None)
-    tangents = mesh.tangents(vertices, faces, normals, uv).float()
-    normals = normals.float()
-    return Prepared(vertices, faces, normals, tangents, colours, uv, texture, material, dropped, renewed)
+        colours = torch.ones(count, 3)
+    return PreparedPart(
+        vertices=vertices,
+        faces=faces,
+        normals=normals.float(),
+        tangents=mesh.tangents(vertices, faces, normals, uv).float(),
+        colours=colours,
+        uv=uv,
+        texture=texture,
+        material=part.material or default_material(texture is not None or part.colours is not None),
+        dropped=dropped,
+        renewed=renewed,
+    )
 
 
 def _normals(part: Part, vertices: Tensor, faces: Tensor) -> tuple[Tensor, int]:
@@ -111,6 +124,7 @@ def _checked_texture(texture: Tensor, uv: Tensor | None) -> Tensor:
 
 
 def _rows(name: str, value: Tensor, shape: tuple[int, int], finite: bool = True) -> Tensor:
+    """An attribute of the vertices as float32, checked."""
     value = torch.as_tensor(value).float()
     if value.shape != shape:
         raise ValueError(f"{name} must be {shape}, one row a vertex, got {tuple(value.shape)}")
@@ -127,7 +141,7 @@ def join(name: str, parts: Sequence[Part]) -> Part:
         ValueError: their materials or textures differ.
     """
     first = parts[0]
-    if any(p.texture is not first.texture or not _same(p.material, first.material) for p in parts):
+    if any(p.texture is not first.texture or not _same_material(p.material, first.material) for p in parts):
         raise ValueError("parts must share one material and texture; they differ: give the region a material")
     counts = torch.tensor([len(p.vertices) for p in parts])
     starts = (counts.cumsum(0) - counts).tolist()
@@ -143,12 +157,13 @@ def join(name: str, parts: Sequence[Part]) -> Part:
 
 
 def _joined(values: Sequence[Tensor | None]) -> Tensor | None:
+    """The rows of all parts, None where one of them has none."""
     given = [value for value in values if value is not None]
     return torch.cat(given) if len(given) == len(values) else None
 
 
 def transformed(part: Part, matrix: Tensor) -> Part:
-    """The part under an affine transform (4, 4) float64; one that mirrors keeps the front in front."""
+    """The part under an affine transform (4, 4) float64; where that mirrors, faces are turned so that fronts stay."""
     linear = matrix[:3, :3]
     mirror = bool(torch.linalg.det(linear) < 0)
     normals = None if part.normals is None else part.normals.double() @ torch.linalg.inv(linear)
@@ -160,7 +175,7 @@ def transformed(part: Part, matrix: Tensor) -> Part:
     )
 
 
-def _same(a: Material | None, b: Material | None) -> bool:
+def _same_material(a: Material | None, b: Material | None) -> bool:
     if a is None or b is None:
         return a is b
     return bool((a.diffuse == b.diffuse).all() and (a.specular == b.specular).all()) and a.shape == b.shape

@@ -18,14 +18,14 @@ from ptt.ops.raycast import Surface
 from ptt.scene.camera import Camera
 from ptt.scene.parts import Part, prepare
 
-INSET = 0.01
+INSET = 0.01  # share of the way from a vertex to the middle of its triangles at which it is lit (`Scene.points`)
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
     """A part of the scene that has one material.
 
-    editable: whether the material may change after precomputation
+    editable: says whether the material may change after precomputation
     texture (h, w, 3): linear base colour, or None
     """
 
@@ -41,10 +41,12 @@ class Scene:
     vertices (v, 3) float32, faces (f, 3) int64: no vertex is shared between regions
     normals, tangents (v, 3): unit, orthogonal to 1e-6
     vertex_region (v,): index into `regions`
-    colours (v, 3): linear base colour that multiplies the material's diffuse: 1 where there is none,
-        the texture at the vertex where there is one
+    colours (v, 3): linear base colour that multiplies the material's diffuse: the texture at the vertex where the
+        region has one, 1 where it has no colours
     uv (v, 2): texture coordinates, v = 1 on top; 0 in regions that have none; None where no region has any
+    regions: their names, textures, and whether they may be edited
     materials: default Material of each region, by name
+    environment, camera: those that a scene file gives, or None
     """
 
     vertices: Tensor
@@ -75,8 +77,9 @@ class Scene:
         """A scene of one region.
 
         vertices (v, 3), faces (f, 3): counter-clockwise seen from the front
-        normals (v, 3): any length; zero or non-finite rows, and None, are computed from the faces
-        uv (v, 2), colours (v, 3) linear, texture (h, w, 3) linear: base colour; a texture overrides colours
+        normals (v, 3): any length; rows that are zero or not finite, or all for None, are computed from the faces
+        uv (v, 2): texture coordinates
+        colours (v, 3), texture (h, w, 3): linear base colour; a texture overrides colours
         material: None for `ptt.scene.parts.default_material`
 
         Raises:
@@ -88,11 +91,11 @@ class Scene:
     def from_parts(
         cls, parts: Sequence[Part], environment: Environment | None = None, camera: Camera | None = None
     ) -> Scene:
-        """Check, repair and join parts, one region each; without a camera, one that frames them all.
+        """Check, repair and join parts, one region each. The default camera frames them all.
 
-        Triangles without area are dropped. A vertex whose given normal is zero or not finite takes its
-        triangles'; one without triangles, or amid triangles that cancel, stays in its place and takes that of
-        the nearest vertex that has one. One warning counts these repairs over all parts.
+        Triangles without area are dropped. A vertex whose given normal is zero or not finite takes the normal of its
+        triangles; a vertex without triangles, or amid triangles that cancel, takes that of the nearest vertex that
+        has one. One warning counts these repairs over all parts.
 
         Raises:
             ValueError: no parts; a name twice; vertices that are not finite; faces that are missing or out of
@@ -107,41 +110,42 @@ class Scene:
         uv = [r.vertices.new_zeros(len(r.vertices), 2) if r.uv is None else r.uv for r in ready]
         vertices = torch.cat([r.vertices for r in ready])
         return cls(
-            vertices,
-            torch.cat([r.faces + start for r, start in zip(ready, starts, strict=True)]),
-            torch.cat([r.normals for r in ready]),
-            torch.cat([r.tangents for r in ready]),
-            torch.repeat_interleave(torch.arange(len(parts)), counts),
-            torch.cat([r.colours for r in ready]),
-            None if all(r.uv is None for r in ready) else torch.cat(uv),
-            tuple(Region(p.name, p.editable, r.texture) for p, r in zip(parts, ready, strict=True)),
-            {p.name: r.material for p, r in zip(parts, ready, strict=True)},
-            environment,
-            camera or Camera.framing(*_bounds(vertices)),
+            vertices=vertices,
+            faces=torch.cat([r.faces + start for r, start in zip(ready, starts, strict=True)]),
+            normals=torch.cat([r.normals for r in ready]),
+            tangents=torch.cat([r.tangents for r in ready]),
+            vertex_region=torch.repeat_interleave(torch.arange(len(parts)), counts),
+            colours=torch.cat([r.colours for r in ready]),
+            uv=None if all(r.uv is None for r in ready) else torch.cat(uv),
+            regions=tuple(Region(p.name, p.editable, r.texture) for p, r in zip(parts, ready, strict=True)),
+            materials={p.name: r.material for p, r in zip(parts, ready, strict=True)},
+            environment=environment,
+            camera=camera or Camera.framing(*_bounds(vertices)),
         )
 
     @cached_property
     def frames(self) -> Tensor:
-        """(v, 3, 3): rows tangent, bitangent = normal x tangent, normal; local = frames @ world."""
+        """Frames (v, 3, 3): rows tangent, bitangent = normal x tangent, normal; local = frames @ world."""
         bitangents = torch.cross(self.normals, self.tangents, dim=1)
         return torch.stack([self.tangents, bitangents, self.normals], 1)
 
     @cached_property
     def points(self) -> Tensor:
-        """(v, 3): where the vertices are lit, a hundredth of the way into their triangles along the surface.
+        """Points (v, 3) where the vertices are lit, a hundredth of the way into their triangles along the surface.
 
-        A vertex in the very plane of another surface, as where a floor ends at a wall, would see nothing from there.
+        A vertex in the very plane of another surface, as where a floor ends at a wall, would see nothing: on a dragon
+        in a corner that alone made the indirect part 17 % wrong (docs/transfer.md).
         """
         return mesh.inset(self.vertices, self.faces, self.normals, INSET)
 
     @cached_property
     def face_region(self) -> Tensor:
-        """(f,): index into `regions`."""
+        """The region (f,) of each face, an index into `regions`."""
         return self.vertex_region[self.faces[:, 0]]
 
     @cached_property
     def surface(self) -> Surface:
-        """All triangles, ready for rays."""
+        """The triangles, ready for rays."""
         return Surface(self.vertices, self.faces)
 
     @cached_property
@@ -150,31 +154,31 @@ class Scene:
         return _bounds(self.vertices)
 
     def region_index(self, name: str) -> int:
-        """The index into `regions` of the region of that name."""
+        """The index into `regions` of the region of that name; raises ValueError where there is none."""
         names = [region.name for region in self.regions]
         if name not in names:
             raise ValueError(f"no region {name!r}; the scene has {', '.join(names)}")
         return names.index(name)
 
     def interpolated(self, values: Tensor, triangle: Tensor, barycentric: Tensor) -> Tensor:
-        """Values (n, ...) inside triangles (n,), at barycentric (n, 3), of those at the vertices (v, ...)."""
-        mixed = mix(
-            values.flatten(1) if values.ndim > 1 else values[:, None], self.faces[triangle], barycentric.to(values)
-        )
-        return mixed.reshape(len(triangle), *values.shape[1:])
+        """Values (n, ...) inside triangles (n,), at barycentric (n, 3), from those at the vertices (v, ...)."""
+        rows = values.flatten(1) if values.ndim > 1 else values[:, None]
+        found = mix(rows, self.faces[triangle], barycentric.to(values))
+        return found.reshape(len(triangle), *values.shape[1:])
 
     def frames_at(self, triangle: Tensor, barycentric: Tensor) -> Tensor:
         """Orthonormal frames (n, 3, 3) inside triangles (n,), at barycentric (n, 3).
 
-        Where interpolation leaves no frame, the triangle's normal, or another tangent; a warning counts them.
+        Where interpolation leaves no frame, the triangle's normal or another tangent stands in; a warning counts these.
         """
 
-        def across(rows: Tensor) -> Tensor:
+        def triangle_normals(rows: Tensor) -> Tensor:
             a, b, c = self.vertices[self.faces[triangle[rows]]].unbind(1)
             return torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1)
 
-        normals, tangents = (self.interpolated(x, triangle, barycentric) for x in (self.normals, self.tangents))
-        frames, repaired = mesh.frames(normals, tangents, across)
+        normals = self.interpolated(self.normals, triangle, barycentric)
+        tangents = self.interpolated(self.tangents, triangle, barycentric)
+        frames, repaired = mesh.frames(normals, tangents, triangle_normals)
         if repaired:
             warnings.warn(f"{repaired} of {len(frames)} frames between vertices that disagree repaired", stacklevel=3)
         return frames
@@ -182,7 +186,7 @@ class Scene:
     def share_at(self, share: Tensor, triangle: Tensor, barycentric: Tensor) -> Tensor:
         """The share (n,) of a second material (`Mixed`) inside triangles (n,), at barycentric (n, 3).
 
-        share: (h, w), a texture by the scene's uv, or (v,), of the vertices and interpolated
+        share: a texture (h, w) by the scene's uv, or values (v,) at the vertices
 
         Raises:
             ValueError: a texture for a scene without uv, or a share of another number of vertices.
@@ -198,7 +202,7 @@ class Scene:
     def albedo(self, triangle: Tensor, barycentric: Tensor) -> Tensor:
         """Linear base colour (n, 3) at hits: triangle (n,) index into faces, barycentric (n, 3).
 
-        The texture at the interpolated uv where the region has one, else the interpolated colours.
+        It is the texture at the interpolated uv where the region has one, else the interpolated colours.
 
         Raises:
             ValueError: a triangle is not a face of the scene (a miss, for one).
@@ -207,14 +211,15 @@ class Scene:
             raise ValueError(f"triangle (n,) must index {len(self.faces)} faces: {bad} do not")
         colour = self.interpolated(self.colours, triangle, barycentric)
         region = self.face_region[triangle]
-        for index, texture in enumerate(r.texture for r in self.regions):
+        for index, own in enumerate(self.regions):
             rows = torch.nonzero(region == index)[:, 0]
-            if texture is not None and self.uv is not None and len(rows):
+            if own.texture is not None and self.uv is not None and len(rows):
                 at = self.interpolated(self.uv, triangle[rows], barycentric[rows])
-                colour = colour.index_copy(0, rows, mesh.sample_texture(texture, at))
+                colour = colour.index_copy(0, rows, mesh.sample_texture(own.texture, at))
         return colour
 
 
 def _bounds(vertices: Tensor) -> tuple[Tensor, float]:
+    """Centre (3,) of the bounding box, and the radius about it that holds every vertex."""
     centre = (vertices.amin(0) + vertices.amax(0)) / 2
     return centre, float((vertices - centre).norm(dim=1).max())

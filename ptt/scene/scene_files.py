@@ -58,7 +58,7 @@ SHAPES: dict[str, Callable[..., tuple[Tensor, Tensor]]] = {
     "box": mesh.box_mesh,
     "torus": mesh.torus_mesh,
 }
-MOST = 10_000_000  # triangles
+MOST_TRIANGLES = 10_000_000  # `edge` may make in one region: more is taken for a mistake
 PLACING = ("scale", "rotate", "translate")
 REGION = ("name", "mesh", *SHAPES, "parts", *PLACING, "subdivide", "edge", "editable", "texture", "material")
 
@@ -81,7 +81,7 @@ def _load_toml(path: Path) -> Scene:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"path must be a TOML file: {path}: {error}") from error
-    _known(path.name, table, ("environment", "hidden", "camera", "region"))
+    _check_keys(path.name, table, ("environment", "hidden", "camera", "region"))
     if not isinstance(table.get("region"), list):
         raise ValueError(f"{path.name} must hold at least one [[region]]")
     environment = None
@@ -91,7 +91,7 @@ def _load_toml(path: Path) -> Scene:
     if "camera" in table:
         camera = _call("camera", Camera, table["camera"])
     scene = Scene.from_parts([_region(t, path.parent) for t in table["region"]], environment, camera)
-    return scene if _typed(table, "hidden", bool, True) else without_hidden(scene)
+    return scene if _value_of(table, "hidden", bool, True) else without_hidden(scene)
 
 
 def find(name: str, folder: Path) -> Path:
@@ -100,7 +100,9 @@ def find(name: str, folder: Path) -> Path:
     Raises:
         ValueError: it is in neither.
     """
-    tried = [folder / name] + ([Path(os.environ["PTT_DATA"]) / name] if "PTT_DATA" in os.environ else [])
+    tried = [folder / name]
+    if "PTT_DATA" in os.environ:
+        tried.append(Path(os.environ["PTT_DATA"]) / name)
     for path in tried:
         if path.is_file():
             return path
@@ -108,16 +110,16 @@ def find(name: str, folder: Path) -> Path:
 
 
 def _region(table: Mapping[str, Any], folder: Path) -> Part:
-    _known("region", table, REGION)
+    _check_keys("region", table, REGION)
     if not isinstance(table.get("name"), str):
         raise ValueError(f"region must have a name, got {table.get('name')!r}")
     name: str = table["name"]
     try:
-        part = replace(_geometry(table, folder), name=name, editable=_typed(table, "editable", bool, True))
-        for _ in range(_typed(table, "subdivide", int, 0)):
+        part = replace(_geometry(table, folder), name=name, editable=_value_of(table, "editable", bool, True))
+        for _ in range(_value_of(table, "subdivide", int, 0)):
             part = _subdivided(part)
         part = transformed(part, _matrix(**{k: table[k] for k in PLACING if k in table}))
-        return _fine_enough(part, float(table["edge"])) if "edge" in table else part
+        return _with_edges_up_to(part, float(table["edge"])) if "edge" in table else part
     except (ValueError, TypeError) as error:
         raise ValueError(f"region {name!r}: {error}") from error
 
@@ -141,12 +143,12 @@ def _geometry(table: Mapping[str, Any], folder: Path) -> Part:
 
 
 def _chosen(parts: list[Part], names: list[str] | None) -> list[Part]:
-    _known("parts", names or (), [part.name for part in parts])
+    _check_keys("parts", names or (), [part.name for part in parts])
     return parts if names is None else [part for part in parts if part.name in names]
 
 
 def _matrix(scale: float = 1.0, rotate: Iterable[float] = (0, 0, 0), translate: Iterable[float] = (0, 0, 0)) -> Tensor:
-    """(4, 4) float64: scale, then turn about x, y and z [degrees], then move."""
+    """The transform (4, 4) float64 that scales, then turns about x, y and z [degrees], then moves."""
     if not (isinstance(scale, int | float) and math.isfinite(scale) and scale > 0):
         raise ValueError(f"scale must be one positive number, got {scale}")
     matrix = torch.eye(4, dtype=torch.float64)
@@ -164,8 +166,8 @@ def _three(name: str, value: Iterable[float]) -> list[float]:
     return numbers
 
 
-def _fine_enough(part: Part, edge: float) -> Part:
-    """No edge longer than that."""
+def _with_edges_up_to(part: Part, edge: float) -> Part:
+    """The part with longer edges halved until none is longer."""
     if not edge > 0:
         raise ValueError(f"edge must be > 0, got {edge}")
     while True:
@@ -173,36 +175,39 @@ def _fine_enough(part: Part, edge: float) -> Part:
         long = (corners - corners.roll(-1, 1)).norm(dim=2) > edge
         if not bool(long.any()):
             return part
-        if len(part.faces) + int(long.sum()) > MOST:
-            raise ValueError(f"edge = {edge:g} makes more than {MOST} triangles; take a longer one")
+        if len(part.faces) + int(long.sum()) > MOST_TRIANGLES:
+            raise ValueError(f"edge = {edge:g} makes more than {MOST_TRIANGLES} triangles; take a longer one")
         part = _subdivided(part, long)
 
 
 def _subdivided(part: Part, cut: Tensor | None = None) -> Part:
+    """The part with all edges halved, or with those in `cut` (f, 3)."""
     mesh.check_mesh(part.vertices, part.faces)
     faces, edges = mesh.subdivide(part.faces, len(part.vertices), cut)
 
-    def finer(values: Tensor) -> Tensor:
+    def with_middles(values: Tensor) -> Tensor:
         return torch.cat([values, values[edges].mean(1)])
 
     return replace(
         part,
-        vertices=finer(part.vertices),
+        vertices=with_middles(part.vertices),
         faces=faces,
-        normals=None if part.normals is None else finer(part.normals),
-        uv=None if part.uv is None else finer(part.uv),
-        colours=None if part.colours is None else finer(part.colours),
+        normals=None if part.normals is None else with_middles(part.normals),
+        uv=None if part.uv is None else with_middles(part.uv),
+        colours=None if part.colours is None else with_middles(part.colours),
     )
 
 
-def _typed(table: Mapping[str, Any], key: str, kind: type[T], default: T) -> T:
+def _value_of(table: Mapping[str, Any], key: str, kind: type[T], default: T) -> T:
+    """The value at a key, which must be of a kind."""
     value = table.get(key, default)
     if type(value) is not kind:
         raise ValueError(f"{key} must be of type {kind.__name__}, got {value!r}")
     return value
 
 
-def _known(place: str, keys: Iterable[str], valid: Iterable[str]) -> None:
+def _check_keys(place: str, keys: Iterable[str], valid: Iterable[str]) -> None:
+    """Refuse keys that are not valid."""
     names = list(valid)
     if unknown := [key for key in keys if key not in names]:
         raise ValueError(f"{place}: unknown {', '.join(map(repr, unknown))}; valid are {', '.join(names)}")
@@ -210,7 +215,7 @@ def _known(place: str, keys: Iterable[str], valid: Iterable[str]) -> None:
 
 def _call(place: str, make: Callable[..., T], table: Mapping[str, Any]) -> T:
     """make(**table), refusing arguments that it does not have, or whose values are of the wrong kind."""
-    _known(place, table, inspect.signature(make).parameters)
+    _check_keys(place, table, inspect.signature(make).parameters)
     try:
         return make(**table)
     except TypeError as error:

@@ -9,7 +9,7 @@ import torch
 
 import ptt
 from ptt import reference
-from ptt.materials.shapes import mirrored
+from ptt.materials.shapes import is_mirror_symmetric
 from ptt.ops import geodesic, local, mesh, rotation, triple
 from ptt.ops.geodesic import Geodesic
 from ptt.ops.octahedral import Octahedral
@@ -103,7 +103,7 @@ def test_refuses() -> None:
 def test_table_of_a_brdf_is_mirrored(level: int, views: int, shape: ptt.BlinnPhong | ptt.Ward) -> None:
     """A quarter of it is sampled; the rest is what sampling gives, as the grid is its own mirror image."""
     grid = Geodesic(level)
-    assert mirrored(shape)
+    assert is_mirror_symmetric(shape)
     whole, quarter = (local.brdf_table(shape.evaluate, grid, views, some) for some in (False, True))
     torch.testing.assert_close(quarter, whole, rtol=1e-4, atol=1e-5)
     for axis in range(2):
