@@ -16,7 +16,7 @@ from ptt.io.images import read_image, to_srgb
 from ptt.ops import mesh
 from ptt.scene.scene import Scene
 
-LOWEST = 0.05  # of a normal's height above the surface
+LOWEST = 0.05  # least height of a unit normal above the surface, 3 degrees: lower ones are raised to it
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class BumpMap:
     def of_heights(cls, heights: Tensor, depth: float = 1.0) -> BumpMap:
         """The normals of a height field (h, w) that repeats, row 0 on top.
 
-        depth: of a height of 1, in widths of the texture
+        depth: the height of 1, in widths of the texture
         """
         if heights.ndim != 2 or not heights.numel():
             raise ValueError(f"heights must be (h, w), got {tuple(heights.shape)}")
@@ -64,21 +64,23 @@ class BumpMap:
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> BumpMap:
-        """A normal map as a .png, normals = 2 rgb - 1, y up (OpenGL's convention)."""
+        """The bump map of a .png with normals = 2 rgb - 1, y up (OpenGL's convention)."""
         return cls(2 * to_srgb(read_image(path)) - 1)
 
-    def bent(self, frames: Tensor, uv: Tensor) -> Tensor:
+    def bend(self, frames: Tensor, uv: Tensor) -> Tensor:
         """Frames (p, 3, 3) of points at uv (p, 2), turned to the map's normals."""
         local = mesh.sample_texture(self.normals, uv).to(frames)
         normal = torch.einsum("pa,pax->px", local, frames)
         return mesh.frames(normal, frames[:, 0], lambda rows: frames[rows, 2])[0]
 
 
-def bent(scene: Scene, bumps: Mapping[str, BumpMap], frames: Tensor, uv: Tensor | None, region: Tensor) -> Tensor:
-    """Frames (p, 3, 3) with the bump maps of their regions.
+def bent_frames(
+    scene: Scene, bumps: Mapping[str, BumpMap], frames: Tensor, uv: Tensor | None, region: Tensor
+) -> Tensor:
+    """Frames (p, 3, 3), turned by the bump maps of their regions (p,); uv (p, 2).
 
     Raises:
-        ValueError: an unknown region, or a scene without uv.
+        ValueError: a region is unknown, or the scene has no uv.
     """
     for name, bump in bumps.items():
         rows = (region == scene.region_index(name)).nonzero()[:, 0]
@@ -86,5 +88,5 @@ def bent(scene: Scene, bumps: Mapping[str, BumpMap], frames: Tensor, uv: Tensor 
             raise ValueError(
                 f"the bump map of {name!r} needs uv: give its part uv (v, 2), or a mesh file that has them"
             )
-        frames = frames.index_copy(0, rows, bump.bent(frames[rows], uv[rows]))
+        frames = frames.index_copy(0, rows, bump.bend(frames[rows], uv[rows]))
     return frames

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from ptt.imaging.bumps import BumpMap, bent
+from ptt.imaging.bumps import BumpMap, bent_frames
 from ptt.imaging.image import Image
 from ptt.light.environment import Environment
 from ptt.scene.camera import Camera
@@ -16,12 +16,13 @@ from ptt.scene.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class GBuffer:
-    """Of p pixels that see a front face, row by row: traced once for a view, shaded as often as one likes.
+    """The points that p pixels see, those that see a front face, row by row: traced once, shaded as often as one likes.
 
-    camera: that sees them
+    camera: the camera that sees them
     pixel (p,): row * width + column
-    triangle (p,), barycentric (p, 3): where on the mesh
-    positions (p, 3), frames (p, 3, 3): rows tangent, bitangent, normal; interpolated, orthonormal, bent by bump maps
+    triangle (p,), barycentric (p, 3): the place on the mesh
+    positions (p, 3): interpolated, in world space
+    frames (p, 3, 3): rows tangent, bitangent, normal; interpolated, orthonormal, bent by bump maps
     colours (p, 3): linear base colour, from the texture where there is one
     region (p,): index into `Scene.regions`
     uv (p, 2): texture coordinates; None where the scene has none
@@ -43,12 +44,13 @@ class GBuffer:
     def of(cls, scene: Scene, camera: Camera, bumps: Mapping[str, BumpMap] | None = None) -> GBuffer:
         """Trace the rays through the pixels' centres.
 
-        bumps: by region, that bend its frames; light and BRDFs follow them, visibility does not, as in the paper
+        bumps: bump maps by region, which bend its frames; light and BRDFs follow them, visibility does not, as in the
+            paper
 
-        A frame whose tangent is parallel to its normal gets another tangent; a warning counts them.
+        A frame whose tangent is parallel to its normal gets another tangent; a warning counts such frames.
 
         Raises:
-            ValueError: bump maps of an unknown region, or for a scene without uv.
+            ValueError: a bump map has an unknown region, or the scene no uv.
         """
         eye, directions = camera.rays()
         hits = scene.surface.first_hit(eye.expand(camera.width * camera.height, 3), directions.reshape(-1, 3))
@@ -56,18 +58,26 @@ class GBuffer:
         triangle = hits.triangle[pixel]
         barycentric = hits.barycentric[pixel]
 
-        def mixed(values: Tensor) -> Tensor:
+        def at_pixels(values: Tensor) -> Tensor:
             return scene.interpolated(values, triangle, barycentric)
 
         region = scene.face_region[triangle]
-        uv = None if scene.uv is None else mixed(scene.uv)
-        frames = bent(scene, bumps or {}, scene.frames_at(triangle, barycentric), uv, region)
-        colours = scene.albedo(triangle, barycentric)
-        missed = hits.triangle < 0
-        return cls(camera, pixel, triangle, barycentric, mixed(scene.vertices), frames, colours, region, uv, missed)
+        uv = None if scene.uv is None else at_pixels(scene.uv)
+        return cls(
+            camera=camera,
+            pixel=pixel,
+            triangle=triangle,
+            barycentric=barycentric,
+            positions=at_pixels(scene.vertices),
+            frames=bent_frames(scene, bumps or {}, scene.frames_at(triangle, barycentric), uv, region),
+            colours=scene.albedo(triangle, barycentric),
+            region=region,
+            uv=uv,
+            missed=hits.triangle < 0,
+        )
 
     def interpolated(self, scene: Scene, values: Tensor) -> Tensor:
-        """Values (p, ...) of those at the scene's vertices (v, ...)."""
+        """Values (p, ...) at the pixels, from those at the scene's vertices (v, ...)."""
         return scene.interpolated(values, self.triangle, self.barycentric)
 
     def image(self, radiance: Tensor, environment: Environment | None = None) -> Image:

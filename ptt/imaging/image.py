@@ -1,4 +1,4 @@
-"""Radiance at points -> image: primary rays by embree, vertex radiance interpolated in each triangle."""
+"""Images, and pictures of radiance at vertices: rays by embree, radiance interpolated in each triangle."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from ptt.light.environment import Environment
 from ptt.scene.camera import Camera
 from ptt.scene.scene import Scene
 
+RAYS_AT_ONCE = 1 << 20
+
 
 @dataclass(frozen=True, eq=False)
 class Image:
@@ -22,7 +24,7 @@ class Image:
     pixels: Tensor
 
     def exposure(self) -> float:
-        """Stops for `save` that bring the brightest twentieth of the picture to white; 0 for a black picture."""
+        """The stops for `save` that bring the brightest twentieth of the picture to white; 0 for a black picture."""
         luminance = self.pixels.reshape(-1, 3) @ self.pixels.new_tensor([0.2126, 0.7152, 0.0722])
         rank = max(1, int(0.95 * len(luminance)))
         bright = float(luminance.kthvalue(rank).values)
@@ -32,7 +34,7 @@ class Image:
         """Write .exr or .hdr (linear) or .png (sRGB, clipped), brightened by `exposure` stops.
 
         Raises:
-            ValueError: another ending, or the file cannot be written.
+            ValueError: the ending is another, or the file cannot be written.
         """
         write_image(path, self.pixels * 2.0**exposure)
 
@@ -54,17 +56,20 @@ def render(
         raise ValueError(f"radiance must be finite, {tuple(scene.vertices.shape)}, got {tuple(radiance.shape)}")
     if antialias < 1:
         raise ValueError(f"antialias must be at least 1, got {antialias}")
-    height = camera.height
     width = camera.width
-    eye, directions = replace(camera, width=width * antialias, height=height * antialias).rays()
-    rows = [
-        _trace(scene, eye, part.flatten(0, 1), radiance, environment).reshape(-1, antialias, width, antialias, 3)
-        for part in directions.split(antialias * max(1, (1 << 20) // (width * antialias**2)))
-    ]
+    eye, directions = replace(camera, width=width * antialias, height=camera.height * antialias).rays()
+    rows_at_once = max(1, RAYS_AT_ONCE // (width * antialias**2))
+    rows = []
+    for part in directions.split(antialias * rows_at_once):
+        seen = _radiance_along(scene, eye, part.flatten(0, 1), radiance, environment)
+        rows.append(seen.reshape(-1, antialias, width, antialias, 3))
     return Image(torch.cat(rows).mean((1, 3)))
 
 
-def _trace(scene: Scene, eye: Tensor, directions: Tensor, radiance: Tensor, environment: Environment | None) -> Tensor:
+def _radiance_along(
+    scene: Scene, eye: Tensor, directions: Tensor, radiance: Tensor, environment: Environment | None
+) -> Tensor:
+    """Radiance (n, 3) along rays from the eye, interpolated from the vertices (v, 3); the environment beyond."""
     hits = scene.surface.first_hit(eye.expand_as(directions), directions)
     corners = scene.faces[hits.triangle.clamp(min=0)]
     surface = torch.einsum("nkc,nk->nc", radiance.cpu()[corners], hits.barycentric * hits.front[:, None])

@@ -8,7 +8,7 @@ from torch import Tensor
 
 
 def relative_rmse(a: Tensor, b: Tensor) -> float:
-    """Root mean square of a - b over that of the reference b: sqrt(mean (a - b)^2) / sqrt(mean b^2), in float64.
+    """The root mean square of a - b over that of the reference b: sqrt(mean (a - b)^2) / sqrt(mean b^2), in float64.
 
     a, b: the same shape, e.g. radiance (points, 3); the mean runs over every element.
 
@@ -23,6 +23,8 @@ def relative_rmse(a: Tensor, b: Tensor) -> float:
     reference = b.detach().double()
     error = float((a.detach().double() - reference).norm())
     size = float(reference.norm())
-    if size == 0:
-        return 0.0 if error == 0 else math.inf if not math.isnan(error) else math.nan
-    return error / size
+    if size != 0:
+        return error / size
+    if math.isnan(error):
+        return math.nan
+    return 0.0 if error == 0 else math.inf

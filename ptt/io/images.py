@@ -1,4 +1,4 @@
-"""Images on disk. Saved models have their own file, `ptt.saved`.
+"""Images on disk; `ptt.io.saved` has the models.
 
 In memory an image is linear, float32, (height, width, channels), row 0 on top. `.exr` and `.hdr` hold linear
 values; `.png` holds eight bits with the sRGB transfer curve, clipped to [0, 1].
@@ -23,7 +23,7 @@ _CHANNELS = {1: "Y", 3: "RGB", 4: "RGBA"}
 
 
 def read_image(path: str | PathLike[str]) -> Tensor:
-    """Linear image (height, width, channels) float32: 3 channels, 4 with alpha, 1 or 2 for grey (and alpha).
+    """The linear image (height, width, channels) float32 of a file: 3 channels, 4 with alpha, 1 or 2 for grey.
 
     Raises:
         ValueError: the ending is unknown, or the file is missing, unreadable or cut short.
@@ -34,11 +34,11 @@ def read_image(path: str | PathLike[str]) -> Tensor:
 
 
 def write_image(path: str | PathLike[str], image: Tensor) -> None:
-    """Writes a linear image (height, width, channels), 1, 3 or 4 channels; PNG is clipped to [0, 1].
+    """Write a linear image (height, width, channels) of 1, 3 or 4 channels; PNG is clipped to [0, 1].
 
     Raises:
-        ValueError: the ending is unknown, the shape is not an image's, values are not finite (PNG and HDR),
-            or the file cannot be written.
+        ValueError: the ending is unknown, the shape is not that of an image, values are not finite (PNG and HDR), or
+            the file cannot be written.
     """
     path = Path(path)
     write = _by_ending(path, {".exr": _write_exr, ".hdr": _write_hdr, ".png": _write_png})
@@ -51,17 +51,18 @@ def write_image(path: str | PathLike[str], image: Tensor) -> None:
 
 
 def to_srgb(linear: Tensor) -> Tensor:
-    """sRGB transfer curve (IEC 61966-2-1) of linear values, clipped to [0, 1]."""
+    """sRGB-encoded values (IEC 61966-2-1) of linear ones, which are clipped to [0, 1]."""
     x = linear.clamp(0, 1)
     return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clamp(min=0.0031308) ** (1 / 2.4) - 0.055)
 
 
 def from_srgb(encoded: Tensor) -> Tensor:
-    """Linear values of sRGB-encoded values in [0, 1]: the inverse of `to_srgb`."""
+    """Linear values of sRGB-encoded ones in [0, 1]: the inverse of `to_srgb`."""
     return torch.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
 def _by_ending(path: Path, table: dict[str, _F]) -> _F:
+    """The function of a table for the ending of a path."""
     if path.suffix.lower() not in table:
         raise ValueError(f"image file must end in one of {', '.join(table)}, got {path}")
     return table[path.suffix.lower()]
@@ -93,14 +94,15 @@ def _read_oiio(path: Path) -> NDArray[np.float32]:
 
 
 def _straight_alpha(spec: oiio.ImageSpec) -> oiio.ImageSpec:
-    """Keeps OpenImageIO from multiplying or dividing colours by alpha."""
+    """The spec, changed so that OpenImageIO neither multiplies nor divides colours by alpha."""
     spec.attribute("oiio:UnassociatedAlpha", 1)
     return spec
 
 
 def _read_png(path: Path) -> NDArray[np.float32]:
     pixels = torch.from_numpy(_read_oiio(path))
-    colours = pixels.shape[-1] - (pixels.shape[-1] % 2 == 0)
+    channels = pixels.shape[-1]
+    colours = channels - 1 if channels in (2, 4) else channels  # the last of an even number is alpha
     return torch.cat((from_srgb(pixels[..., :colours]), pixels[..., colours:]), dim=-1).numpy()
 
 

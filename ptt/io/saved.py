@@ -14,12 +14,12 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-SCHEMA = 2
+SCHEMA = 2  # of the files; it grows when files written before can no longer be read
 Shapes = Mapping[str, tuple[torch.dtype, tuple[int, ...]]]
 
 
 def save(path: str | PathLike[str], kind: str, config: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
-    """Write tensors, with what they are and the config that made them.
+    """Write tensors, with the kind of thing they are and the config that made them.
 
     The file appears whole or not at all: it is written beside its place first.
 
@@ -41,7 +41,7 @@ def load(path: str | PathLike[str], kind: str) -> tuple[dict[str, Any], dict[str
     """The config and the tensors of a saved file.
 
     Raises:
-        ValueError: missing, cut short, not safetensors, of another kind or schema; the message names the file.
+        ValueError: the file is missing, cut short, not safetensors, or of another kind or schema; the message names it.
     """
     path = Path(path)
     if not path.is_file():
@@ -62,7 +62,7 @@ def load(path: str | PathLike[str], kind: str) -> tuple[dict[str, Any], dict[str
 
 @contextmanager
 def describing(path: str | PathLike[str]) -> Iterator[None]:
-    """Name the file in every complaint about what it holds, and turn those of a damaged config into ValueErrors."""
+    """Name the file in every error about what it holds, and turn the errors of a damaged config into ValueErrors."""
     try:
         yield
     except ValueError as error:
@@ -75,7 +75,7 @@ def check(tensors: Mapping[str, Tensor], expected: Shapes) -> None:
     """Refuse tensors that are not exactly the expected ones, of the expected types and shapes, and finite.
 
     Raises:
-        ValueError: naming the tensor and what is wrong with it; `describing` adds the file.
+        ValueError: the message names the tensor and what is wrong with it; `describing` adds the file.
     """
     if missing := sorted(set(expected) - set(tensors)):
         raise ValueError(f"lacks the tensor {', '.join(missing)}")

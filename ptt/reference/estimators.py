@@ -1,6 +1,6 @@
 """Ground truth: path-traced radiance with its standard error, the judge of every relighter.
 
-    B(x, wo) = integral of  I(wi) f(wi, wo) (wi . n)  over the hemisphere, and I holds what other surfaces reflect
+    B(x, wo) = integral of  I(wi) f(wi, wo) (wi . n)  over the hemisphere; other surfaces reflect part of I
 
 A path starts at a point, not in the lens. At each vertex two directions are drawn: one where the environment is
 bright, one where the BRDF is large; both see the environment, weighted by the balance heuristic (Veach and Guibas
@@ -29,14 +29,14 @@ from torch import Tensor
 
 from ptt.light.environment import Environment
 from ptt.materials.material import Material
-from ptt.reference.path_tracer import Estimate, Paths, Vertices, to_local
+from ptt.reference.path_tracer import Estimate, PathTracer, PathVertices, to_local
 from ptt.scene.camera import Camera
 from ptt.scene.parts import Part
 from ptt.scene.scene import Scene
 
 
 class Points(NamedTuple):
-    """Where radiance is wanted.
+    """The points at which radiance is wanted.
 
     position (n, 3): world space, on the surface
     frame (n, 3, 3): rows tangent, bitangent, normal
@@ -51,12 +51,12 @@ class Points(NamedTuple):
 
 
 class Settings(TypedDict, total=False):
-    """What every function here takes by keyword.
+    """The keywords that every function here takes, with their defaults.
 
     bounces: reflections before the last one, at the point (0)
     samples: paths a point, rounded up to whole batches (256)
     seed: the same seed gives the same result to the bit, on any number of threads (0)
-    progress: show a bar (False)
+    progress: says whether to show a bar (False)
     """
 
     bounces: int
@@ -79,17 +79,17 @@ def radiance(
     wo: Tensor,
     **settings: Unpack[Settings],
 ) -> Estimate:
-    """Radiance (n, 3) that leaves points towards the unit directions wo (n, 3); materials: of every region, by name.
+    """Radiance (n, 3) that leaves points towards unit directions wo (n, 3); materials: those of all regions, by name.
 
     Raises:
-        ValueError: a region has no material, a shape is wrong, bounces < 0 or samples < 2.
+        ValueError: a region has no material, a tensor has another shape, bounces < 0, or samples < 2.
     """
     _check(points, wo, len(scene.regions))
-    paths = Paths(scene, environment, materials, **settings)
+    tracer = PathTracer(scene, environment, materials, **settings)
     origin = scene.surface.offset(points.position, points.frame[:, 2])
     frame = points.frame.float()
-    start = Vertices(origin, frame, points.region, points.colour.float(), to_local(frame, wo.float()))
-    return paths.estimate(start)
+    start = PathVertices(origin, frame, points.region, points.colour.float(), to_local(frame, wo.float()))
+    return tracer.estimate(start)
 
 
 def at_vertices(
@@ -99,7 +99,7 @@ def at_vertices(
     camera: Camera,
     **settings: Unpack[Settings],
 ) -> Estimate:
-    """Radiance (v, 3) that leaves every vertex of the scene towards the camera, seen by it or not; as `radiance`."""
+    """`radiance` (v, 3) of every vertex of the scene towards the camera, which need not see it."""
     wo = camera.toward(scene.points)
     return radiance(scene, environment, materials, vertex_points(scene), wo, **settings)
 
@@ -112,8 +112,9 @@ def unshadowed(
     wo: Tensor,
     **settings: Unpack[Settings],
 ) -> Estimate:
-    """As `radiance`, of points that nothing hides the light from: what `EnvMapRelighter` is to show."""
+    """`radiance` (n, 3) of points from which nothing hides the light: the truth for `EnvMapRelighter`."""
     centre, radius = scene.bounds
+    # every region is a triangle so small and so far below that it hides nothing
     speck = centre + radius * (1e-3 * torch.eye(3) + torch.tensor([0.0, -1e4, 0.0]))
     parts = [Part(region.name, speck, torch.tensor([[0, 1, 2]])) for region in scene.regions]
     return radiance(Scene.from_parts(parts), environment, materials, points, wo, **settings)
@@ -128,14 +129,14 @@ def along_rays(
     directions: Tensor,
     **settings: Unpack[Settings],
 ) -> Estimate:
-    """Radiance (n, 3) seen from origins (n, 3) along unit directions (n, 3); as `radiance`.
+    """`radiance` (n, 3) that is seen from origins (n, 3) along unit directions (n, 3).
 
-    A ray that hits nothing sees the environment, without an error; one that hits a back face sees black.
+    A ray that hits nothing sees the environment, without an error; a ray that hits a back face sees black.
     """
-    paths = Paths(scene, environment, materials, **settings)
+    tracer = PathTracer(scene, environment, materials, **settings)
     hits = scene.surface.first_hit(origins, directions)
-    seen, start = paths.arrive(hits, directions)
-    estimate = paths.estimate(start)
+    seen, start = tracer.arrive(hits, directions)
+    estimate = tracer.estimate(start)
     background = environment.radiance(directions).double() * (hits.triangle < 0)[:, None]
     mean = background.index_copy(0, seen, estimate.mean)
     return Estimate(mean, torch.zeros_like(mean).index_copy(0, seen, estimate.standard_error))
@@ -148,7 +149,7 @@ def image(
     camera: Camera,
     **settings: Unpack[Settings],
 ) -> Estimate:
-    """The picture (height, width, 3) along the rays through the pixels' centres; as `along_rays`."""
+    """`along_rays` (height, width, 3) through the centres of the camera's pixels."""
     eye, directions = camera.rays()
     rays = directions.reshape(-1, 3)
     estimate = along_rays(scene, environment, materials, eye.expand_as(rays), rays, **settings)
@@ -158,9 +159,10 @@ def image(
 def _check(points: Points, wo: Tensor, regions: int) -> None:
     n = len(points.position)
     shapes = {"position": (n, 3), "frame": (n, 3, 3), "region": (n,), "colour": (n, 3)}
-    for name, shape in shapes.items():
-        if getattr(points, name).shape != shape:
-            raise ValueError(f"points.{name} must be {shape}, got {tuple(getattr(points, name).shape)}")
+    for name, expected in shapes.items():
+        found = tuple(getattr(points, name).shape)
+        if found != expected:
+            raise ValueError(f"points.{name} must be {expected}, got {found}")
     if wo.shape != (n, 3):
         raise ValueError(f"wo must be {(n, 3)}, one direction a point, got {tuple(wo.shape)}")
     if n and not 0 <= int(points.region.min()) <= int(points.region.max()) < regions:

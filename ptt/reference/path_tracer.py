@@ -1,4 +1,4 @@
-"""Vectorised paths through a scene under one light: how `ptt.reference` traces them."""
+"""Paths through a scene under one light, traced many at a time: the tracer behind `ptt.reference`."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from ptt.ops.raycast import Hits
 from ptt.reference.sampling import BeckmannLobe, GGXLobe, Mixture, PowerLobe
 from ptt.scene.scene import Scene
 
-BATCHES = 64  # at least so many where there are as many samples: the standard error is then good to 9 %
-LATTICE = 256  # samples a batch, at most
-RAYS = 1 << 17  # paths a thread at a time: about 80 MB
-THREADS = 16  # at most
-GRAZING = 1e-6  # cosine from which a direction is above the horizon
+BATCHES = 64  # at least so many where there are as many samples: the standard error then errs by 1 / sqrt(2 x 63) = 9 %
+LATTICE = 256  # at most so many samples a batch
+RAYS = 1 << 17  # paths that a thread traces at a time: about 80 MB
+THREADS = 16  # at most so many: each holds its own paths
+GRAZING = 1e-6  # a direction is above the horizon if its cosine is greater: float32 rounds unit vectors by 1e-7
 
 
 class Estimate(NamedTuple):
@@ -34,8 +34,14 @@ class Estimate(NamedTuple):
     standard_error: Tensor
 
 
-class Vertices(NamedTuple):
-    """Path vertices: ray origin (n, 3) float64, frame (n, 3, 3), region (n,), colour (n, 3), local wo (n, 3)."""
+class PathVertices(NamedTuple):
+    """Vertices of n paths.
+
+    origin (n, 3) float64: where rays start, off the surface
+    frame (n, 3, 3): rows tangent, bitangent, normal
+    region (n,), colour (n, 3): index into `Scene.regions`, and linear base colour
+    wo (n, 3): direction to where the path came from, in the local frame
+    """
 
     origin: Tensor
     frame: Tensor
@@ -43,11 +49,12 @@ class Vertices(NamedTuple):
     colour: Tensor
     wo: Tensor
 
-    def take(self, rows: Tensor) -> Vertices:
-        return Vertices(*(_pick(x, rows) for x in self))
+    def take(self, rows: Tensor) -> PathVertices:
+        """Some of the vertices, by their numbers (k,)."""
+        return PathVertices(*(_pick(field, rows) for field in self))
 
 
-class Paths:
+class PathTracer:
     """A path tracer for one scene under one light, with its tables."""
 
     def __init__(
@@ -78,34 +85,34 @@ class Paths:
 
     @cached_property
     def corners(self) -> Tensor:
-        """(f, 30): first corner, the two edges from it, unit normal of the face; normals and tangents of corners."""
+        """Numbers (f, 30) of each face: first corner, two edges from it, unit normal, normals and tangents of corners."""
         scene = self.scene
         a, b, c = scene.vertices.double()[scene.faces].unbind(1)
         normal = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-300)
         place = torch.stack([a, b - a, c - a, normal], 1).float()
         return torch.cat([place, scene.normals[scene.faces], scene.tangents[scene.faces]], 1).flatten(1)
 
-    def estimate(self, start: Vertices) -> Estimate:
+    def estimate(self, start: PathVertices) -> Estimate:
         """Means and standard errors (n, 3) of the light from n vertices."""
         size = min(max(1, self.samples // BATCHES), LATTICE)
         batches = -(-self.samples // size)
-        lit = torch.nonzero(start.wo[:, 2] > GRAZING)[:, 0]
+        above = torch.nonzero(start.wo[:, 2] > GRAZING)[:, 0]
         sums = torch.zeros(2, len(start.wo), 3, dtype=torch.float64)
-        passes = list(_passes(len(lit), batches, max(1, RAYS // size)))
+        passes = list(_passes(len(above), batches, max(1, RAYS // size)))
         seeds = torch.randint(2**32, (len(passes),), generator=self.random).tolist()
 
         @torch.no_grad()
         def run(block: tuple[slice, int], seed: int) -> Tensor:
             some, count = block
-            return self._batch_means(start.take(lit[some]), count, size, torch.Generator().manual_seed(seed))
+            return self._batch_means(start.take(above[some]), count, size, torch.Generator().manual_seed(seed))
 
         with (
             _side_by_side(min(self.scene.surface.threads, THREADS)) as pool,
-            self._bar(len(lit) * batches * size) as bar,
+            self._bar(len(above) * batches * size) as bar,
         ):
             for (some, _), means in zip(passes, pool.map(run, passes, seeds), strict=True):
-                sums[0, lit[some]] += means.sum(1)
-                sums[1, lit[some]] += means.square().sum(1)
+                sums[0, above[some]] += means.sum(1)
+                sums[1, above[some]] += means.square().sum(1)
                 bar.update(means[..., 0].numel() * size)
         mean = sums[0] / batches
         variance = (sums[1] / batches - mean.square()).clamp(min=0) / (batches - 1)
@@ -114,15 +121,15 @@ class Paths:
     def _bar(self, paths: int) -> tqdm:
         return tqdm(total=paths, unit=" paths", unit_scale=True, disable=not self.progress)
 
-    def _batch_means(self, start: Vertices, count: int, size: int, random: torch.Generator) -> Tensor:
+    def _batch_means(self, start: PathVertices, count: int, size: int, random: torch.Generator) -> Tensor:
         """Means (n, count, 3) of `count` batches of `size` paths from each of n vertices."""
         n = len(start.wo)
         u = (_uniform(n * count, random)[:, None] + _lattice(size)).frac().reshape(-1, 5)
         light = self._trace(start.take(torch.arange(n).repeat_interleave(count * size)), u, random)
         return light.reshape(n, count, size, 3).double().mean(2)
 
-    def _trace(self, at: Vertices, u: Tensor, random: torch.Generator) -> Tensor:
-        """Light (n, 3) along one path from each vertex; u (n, 5): random numbers for the first."""
+    def _trace(self, at: PathVertices, u: Tensor, random: torch.Generator) -> Tensor:
+        """Light (n, 3) along one path from each vertex; u (n, 5): uniform numbers for its first step."""
         light = torch.zeros_like(at.wo)
         weight = torch.ones_like(at.wo)
         path = torch.arange(len(at.wo))
@@ -133,12 +140,15 @@ class Paths:
             path = _pick(path, rows)
             weight = _pick(weight, rows) * factor
             origin = _pick(at.origin, rows)
-            hits = None if left == 0 else self.scene.surface.first_hit(origin, world)
-            missed = ~self.scene.surface.occluded(origin, world) if hits is None else hits.triangle < 0
+            if left:
+                hits = self.scene.surface.first_hit(origin, world)
+                missed = hits.triangle < 0
+            else:  # no reflection is left, so it does not matter what is hit
+                missed = ~self.scene.surface.occluded(origin, world)
             out = torch.nonzero(missed)[:, 0]
             beyond = self._beyond(_pick(world, out), _pick(density, out))
             light.index_add_(0, _pick(path, out), _pick(weight, out) * beyond)
-            if hits is not None:
+            if left:
                 rows, at = self.arrive(hits, world)
                 path = _pick(path, rows)
                 weight = _pick(weight, rows)
@@ -150,8 +160,8 @@ class Paths:
         share = density / (density + self.sampler.pdf(world))
         return share[:, None] * self.environment.radiance(world)
 
-    def _towards_light(self, at: Vertices, u: Tensor) -> tuple[Tensor, Tensor]:
-        """The vertices (k,) that receive light along directions drawn from the environment, and the light (k, 3)."""
+    def _towards_light(self, at: PathVertices, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Numbers (k,) of the vertices that get light of the environment from directions that it draws, and that light (k, 3)."""
         world, density = self.sampler.sample(u)
         rows = torch.nonzero((at.frame[:, 2] * world).sum(1) > GRAZING)[:, 0]
         free = ~self.scene.surface.occluded(_pick(at.origin, rows), _pick(world, rows))
@@ -162,10 +172,11 @@ class Paths:
         response, other = self._respond(at, to_local(at.frame, world))
         return rows, response * self.environment.radiance(world) / (density + other)[:, None]
 
-    def _towards_brdf(self, at: Vertices, u: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """The vertices (k,) whose BRDF draws a direction above the horizon.
+    def _towards_brdf(self, at: PathVertices, u: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Directions that the vertices' BRDFs draw, where they lie above the horizon.
 
-        And the directions (k, 3) in world space, BRDF x cosine / density (k, 3), and the density (k,).
+        Returns the numbers (k,) of those vertices, the directions (k, 3) in world space, BRDF x cosine / density
+        (k, 3), and the density (k,).
         """
         wi = torch.empty_like(at.wo)
         for index, rows in self._by_region(at):
@@ -176,7 +187,7 @@ class Paths:
         response, density = self._respond(at, wi)
         return rows, _to_world(at.frame, wi), response / density[:, None], density
 
-    def _respond(self, at: Vertices, wi: Tensor) -> tuple[Tensor, Tensor]:
+    def _respond(self, at: PathVertices, wi: Tensor) -> tuple[Tensor, Tensor]:
         """BRDF x cosine (n, 3), and the density (n,) with which the BRDF would have drawn wi (n, 3), local."""
         response = torch.empty_like(wi)
         density = torch.empty_like(wi[:, 0])
@@ -188,13 +199,14 @@ class Paths:
             density.index_copy_(0, rows, self.mixtures[index].density(i, o))
         return response * wi[:, 2:], density
 
-    def _by_region(self, at: Vertices) -> Iterator[tuple[int, Tensor]]:
+    def _by_region(self, at: PathVertices) -> Iterator[tuple[int, Tensor]]:
+        """Each region that has vertices, with their numbers."""
         for index, count in enumerate(torch.bincount(at.region, minlength=len(self.materials)).tolist()):
             if count:
                 yield index, torch.nonzero(at.region == index)[:, 0]
 
-    def arrive(self, hits: Hits, directions: Tensor) -> tuple[Tensor, Vertices]:
-        """The rays (k,) that hit a front seen from above the shading horizon, and the k vertices there."""
+    def arrive(self, hits: Hits, directions: Tensor) -> tuple[Tensor, PathVertices]:
+        """Numbers (k,) of the rays that hit a front from above the shading horizon, and the k vertices there."""
         rows = torch.nonzero(hits.front)[:, 0]
         triangle = _pick(hits.triangle, rows)
         weights = _pick(hits.barycentric, rows)
@@ -202,7 +214,7 @@ class Paths:
         position = corners[:, 0].double() + (corners[:, 1:3] * weights[:, 1:, None]).sum(1)
         frame = orthonormal(_mix(corners[:, 4:7], weights), _mix(corners[:, 7:10], weights))
         wo = -to_local(frame, _pick(directions, rows))
-        at = Vertices(
+        at = PathVertices(
             self.scene.surface.offset(position, corners[:, 3]),
             frame,
             self.scene.face_region[triangle],
@@ -214,7 +226,7 @@ class Paths:
 
 
 def _mixture(material: Material) -> Mixture:
-    """How to draw directions for a material: the lobe's share is about its part of the reflected light."""
+    """The mixture that draws directions for a material: the lobe's share is about its part of the reflected light."""
     match material.shape:
         case BlinnPhong(exponent):
             return Mixture(PowerLobe(number(exponent)), _share(material, 1.0))
@@ -228,13 +240,14 @@ def _mixture(material: Material) -> Mixture:
 
 
 def _share(material: Material, albedo: float) -> float:
+    """The share, in 0.1..0.9, of a specular lobe of about this albedo."""
     specular = number(material.specular.mean()) * albedo
     diffuse = number(material.diffuse.mean())
     return min(max(specular / max(specular + diffuse, 1e-12), 0.1), 0.9)
 
 
 def _passes(n: int, batches: int, capacity: int) -> Iterator[tuple[slice, int]]:
-    """Cut `batches` for each of n points in blocks (points, batches) of at most `capacity`."""
+    """Blocks (points, number of batches) of at most `capacity` that together hold `batches` for each of n points."""
     for first in range(0, n, capacity):
         some = slice(first, min(first + capacity, n))
         most = capacity // (some.stop - first)
@@ -255,6 +268,7 @@ def _side_by_side(threads: int) -> Iterator[ThreadPoolExecutor]:
 
 
 def _uniform(n: int, random: torch.Generator) -> Tensor:
+    """Uniform numbers (n, 5) in [0, 1): two draw from the environment, three from the BRDF."""
     return torch.rand(n, 5, generator=random)
 
 
@@ -265,15 +279,17 @@ def _lattice(size: int) -> Tensor:
 
 
 def _pick(values: Tensor, rows: Tensor) -> Tensor:
-    """values[rows], several times faster."""
+    """The same as values[rows], several times as fast."""
     return values.index_select(0, rows)
 
 
 def to_local(frame: Tensor, world: Tensor) -> Tensor:
+    """Vectors (n, 3) of world space in frames (n, 3, 3)."""
     return torch.einsum("nij,nj->ni", frame, world)
 
 
 def _to_world(frame: Tensor, local: Tensor) -> Tensor:
+    """Vectors (n, 3) of frames (n, 3, 3) in world space."""
     return torch.einsum("nij,ni->nj", frame, local)
 
 

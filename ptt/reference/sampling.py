@@ -25,7 +25,7 @@ from torch import Tensor
 
 from ptt.ops.brdf import half_vector
 
-NARROW = 1e-6  # least cosine that a density is divided by
+NARROW = 1e-6  # the least cosine by which a density is divided
 
 
 def cosine_hemisphere(u: Tensor) -> Tensor:
@@ -34,7 +34,7 @@ def cosine_hemisphere(u: Tensor) -> Tensor:
 
 
 def cosine_density(wi: Tensor) -> Tensor:
-    """(n, 3) -> (n,): cos / pi, 0 below the horizon."""
+    """The density (n,) of `cosine_hemisphere` at wi (n, 3): cos / pi, 0 below the horizon."""
     return wi[..., 2].clamp(min=0) / math.pi
 
 
@@ -45,11 +45,11 @@ class PowerLobe:
     exponent: float | Tensor
 
     def sample(self, u: Tensor) -> Tensor:
-        """u (n, 2) uniform in [0, 1) -> unit vectors (n, 3) above the horizon."""
+        """Half vectors (n, 3), unit, above the horizon, for u (n, 2) uniform in [0, 1)."""
         return _around_z(-torch.expm1(torch.log1p(-u[:, 0]) * (2 / (self.exponent + 1))), u[:, 1])
 
     def density(self, h: Tensor) -> Tensor:
-        """(n, 3) -> (n,), the same for h and -h; sin^2 from x and y, because 1 - z^2 cancels for narrow lobes."""
+        """The density (n,) of h (n, 3) and of -h; it takes sin^2 from x and y, as 1 - z^2 cancels for narrow lobes."""
         log_cos2 = torch.log1p(-_sin2(h).clamp(max=1 - NARROW))
         return torch.exp(log_cos2 * (self.exponent / 2)) * ((self.exponent + 1) / (2 * math.pi))
 
@@ -58,8 +58,9 @@ class PowerLobe:
 class BeckmannLobe:
     """Half vectors with density exp(-(hx^2 / mx^2 + hy^2 / my^2) / hz^2) / (pi mx my hz^3): Beckmann's facets, Ward's.
 
-    mx, my: slopes along tangent and bitangent, > 0; my defaults to mx (isotropic). hx/hz and hy/hz are normal, of
-    variances mx^2 / 2 and my^2 / 2.
+    mx, my: slopes along tangent and bitangent, > 0; my defaults to mx (isotropic)
+
+    hx/hz and hy/hz are normally distributed, with variances mx^2 / 2 and my^2 / 2.
 
     Ward 1992; Walter, Marschner, Li and Torrance 2007, equations 28, 29.
     """
@@ -68,11 +69,11 @@ class BeckmannLobe:
     my: float | Tensor | None = None
 
     def sample(self, u: Tensor) -> Tensor:
-        """u (n, 2) uniform in [0, 1) -> unit vectors (n, 3) above the horizon."""
+        """Half vectors (n, 3), unit, above the horizon, for u (n, 2) uniform in [0, 1)."""
         return _facets((-torch.log1p(-u[:, 0])).sqrt(), u[:, 1], *self._slopes())
 
     def density(self, h: Tensor) -> Tensor:
-        """(n, 3) -> (n,), the same for h and -h."""
+        """The density (n,) of h (n, 3) and of -h."""
         mx, my = self._slopes()
         cos = h[..., 2].abs().clamp(min=NARROW)
         slope2 = ((h[..., 0] / mx) ** 2 + (h[..., 1] / my) ** 2) / cos**2
@@ -92,12 +93,12 @@ class GGXLobe:
     roughness: float | Tensor
 
     def sample(self, u: Tensor) -> Tensor:
-        """u (n, 2) uniform in [0, 1) -> unit vectors (n, 3) above the horizon."""
+        """Half vectors (n, 3), unit, above the horizon, for u (n, 2) uniform in [0, 1)."""
         a = self.roughness**2
         return _facets((u[:, 0] / (1 - u[:, 0])).sqrt(), u[:, 1], a, a)
 
     def density(self, h: Tensor) -> Tensor:
-        """(n, 3) -> (n,), the same for h and -h."""
+        """The density (n,) of h (n, 3) and of -h."""
         a = self.roughness**2
         cos = h[..., 2].abs()
         return (a / ((a * cos) ** 2 + _sin2(h))) ** 2 * cos / math.pi
@@ -114,7 +115,7 @@ class Mixture:
     share: float = 0.0
 
     def sample(self, u: Tensor, wo: Tensor) -> Tensor:
-        """Unit wi (n, 3) for wo (n, 3); u (n, 3) uniform in [0, 1): the first chooses, the others place."""
+        """Unit directions wi (n, 3) for wo (n, 3); u (n, 3) uniform in [0, 1): the first chooses, the others place."""
         matt = cosine_hemisphere(u[:, 1:])
         if self.lobe is None:
             return matt
@@ -129,25 +130,25 @@ class Mixture:
 
 
 def reflect(wo: Tensor, h: Tensor) -> Tensor:
-    """The mirror image (n, 3) of wo (n, 3) about h (n, 3); the same for h and -h."""
+    """The mirror image (n, 3) of wo (n, 3) about h (n, 3), which is the same about -h."""
     return 2 * (wo * h).sum(-1, keepdim=True) * h - wo
 
 
 def reflected_density(lobe: Lobe, wi: Tensor, wo: Tensor) -> Tensor:
-    """Density (n,) of wi = reflect(wo, h) with h drawn from the lobe: that of h times 1 / (4 |wo.h|)."""
+    """Density (n,) of wi = reflect(wo, h) with h drawn from the lobe: the density of h times 1 / (4 |wo.h|)."""
     h = half_vector(wi, wo)
     return lobe.density(h) / (4 * (wo * h).sum(-1).clamp(min=NARROW))
 
 
 def _around_z(sin2: Tensor, turn: Tensor) -> Tensor:
-    """Unit vectors (n, 3) above the horizon: squared sine of the angle to z, and turns (0..1) around it."""
+    """Unit vectors (n, 3) above the horizon, by the squared sine of their angle to z and their turn (0..1) around z."""
     sin = sin2.sqrt()
     angle = turn * (2 * math.pi)
     return torch.stack([sin * angle.cos(), sin * angle.sin(), (1 - sin2).clamp(min=0).sqrt()], -1)
 
 
 def _facets(slope: Tensor, turn: Tensor, mx: float | Tensor, my: float | Tensor) -> Tensor:
-    """Unit vectors (n, 3) along (mx slope cos, my slope sin, 1), at turns (0..1) around z."""
+    """Unit vectors (n, 3) along (mx slope cos, my slope sin, 1) for turns (0..1) around z."""
     angle = turn * (2 * math.pi)
     x = mx * slope * angle.cos()
     y = my * slope * angle.sin()
@@ -155,4 +156,5 @@ def _facets(slope: Tensor, turn: Tensor, mx: float | Tensor, my: float | Tensor)
 
 
 def _sin2(h: Tensor) -> Tensor:
+    """sin^2 of the angle to z."""
     return h[..., 0] ** 2 + h[..., 1] ** 2

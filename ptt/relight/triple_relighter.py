@@ -315,7 +315,7 @@ def _traced(scene: Scene, atlas: Atlas | None, grid: Geodesic, rays: int, progre
         points = scene.points
         frames = scene.frames
     else:
-        points = atlas.mixed(scene, scene.vertices)
+        points = atlas.interpolated(scene, scene.vertices)
         frames = scene.frames_at(atlas.triangle, atlas.barycentric)
     parts = []
     with tqdm(total=len(points), desc="visibility", unit=" points", disable=not progress) as bar:

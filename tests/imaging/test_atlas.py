@@ -30,7 +30,7 @@ def test_texels_show_their_own_place() -> None:
     centre = (torch.arange(8) + 0.5) / 4 - 1
     z, x = torch.meshgrid(centre, centre, indexing="ij")
     wanted = torch.stack((x.flatten(), torch.zeros(64), z.flatten()), 1)
-    torch.testing.assert_close(atlas.mixed(scene, scene.vertices), wanted, rtol=0, atol=1e-5)
+    torch.testing.assert_close(atlas.interpolated(scene, scene.vertices), wanted, rtol=0, atol=1e-5)
 
 
 def test_lookup_is_linear_between_texels() -> None:
@@ -38,7 +38,7 @@ def test_lookup_is_linear_between_texels() -> None:
     scene = square()
     assert scene.uv is not None
     atlas = Atlas.of(scene, 16, scene.uv[scene.faces])
-    values = atlas.mixed(scene, scene.vertices)
+    values = atlas.interpolated(scene, scene.vertices)
     g = torch.Generator().manual_seed(0)
     barycentric = torch.distributions.Dirichlet(torch.ones(3)).sample((200,))
     triangle = torch.randint(2, (200,), generator=g)
@@ -57,7 +57,7 @@ def test_xatlas_unwraps_any_mesh(ball: ptt.Scene) -> None:
     triangle = torch.arange(len(ball.faces)).repeat(3)
     barycentric = torch.distributions.Dirichlet(torch.ones(3)).sample((len(triangle),))
     rows, weights = near.of_texels(atlas.corner_uv, triangle, barycentric, atlas.rows)
-    values = atlas.mixed(ball, ball.vertices)
+    values = atlas.interpolated(ball, ball.vertices)
     got = (values[rows.long()] * weights[..., None]).sum(1)
     wanted = (ball.vertices[ball.faces[triangle]] * barycentric[..., None]).sum(1)
     off = (got - wanted).norm(dim=1)
