@@ -139,16 +139,15 @@ class LightRotation(nn.Module):
         if not bool(coefficients.isfinite().all()):
             raise ValueError("coefficients must be finite")
         light = coefficients.float() if coefficients.dtype.itemsize < 4 else coefficients
-        fast = self.compiled and native.rotates(light)
+        ops = native if self.compiled else rotation
         if self.operator == "resample":
-            target = HemiOctahedral(self.m)
-            rotate = native.resampled_light if fast else rotation.resampled_light
-            return rotate(light, self.frames, target, self.samples)
+            local: Tensor = ops.resampled_light(light, self.frames, HemiOctahedral(self.m), self.samples)
+            return local
         if self.operator == "factored":
-            s = Resampling(self.starts, self.reads, self.samples)
-            return (native.local_light if fast else rotation.local_light)(light, s, self.m)
+            local = ops.local_light(light, Resampling(self.starts, self.reads, self.samples), self.m)
+            return local
         matrix = Quantised(self.starts, self.columns, self.numbers, float(self.unit))
-        if fast:
+        if self.compiled and not (torch.is_grad_enabled() and light.requires_grad):
             return native.rotated_light(light, matrix, self.m)
         csr: Tensor = self._csr((watched(self), light.dtype), lambda: matrix.to_csr(self.n**2, light.dtype))
         return rotation.rotated_light(light, csr, self.m)

@@ -1,11 +1,14 @@
-"""The hot functions of `ptt.ops` as kernels in C++: each takes and gives what the plain one of its name does.
+"""The hot functions of `ptt.ops` as torch operators with kernels in C++: each takes and gives what the plain one of its
+name does.
 
-Where a kernel does not fit (another device or type, gradients, no compiler), the plain function answers.
+Where a kernel does not fit (another device or type, gradients, no compiler), the plain function answers; `refusals`
+tells why.
 """
 
 from ptt.ops.native.kernels import available
 from ptt.ops.native.near import of_frames, of_texels, of_views
-from ptt.ops.native.relight import eigen, expand, light_eigen, lighting, view
+from ptt.ops.native.operators import refusals
+from ptt.ops.native.relight import eigen, expand, light_eigen, lighting
 from ptt.ops.native.rotation import (
     local_light,
     quantised,
@@ -13,10 +16,10 @@ from ptt.ops.native.rotation import (
     resampled_light,
     resampled_values,
     rotated_light,
-    rotates,
 )
 from ptt.ops.native.shading import shade
 from ptt.ops.native.triple import adaptive
+from ptt.ops.native.view import view
 
 __all__ = [
     "adaptive",
@@ -31,10 +34,10 @@ __all__ = [
     "of_views",
     "quantised",
     "reflected",
+    "refusals",
     "resampled_light",
     "resampled_values",
     "rotated_light",
-    "rotates",
     "shade",
     "view",
 ]

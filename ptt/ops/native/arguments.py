@@ -1,36 +1,37 @@
-"""What kernels can take."""
+"""Conditions on what kernels read, said once."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from ctypes import c_void_p
 
 import torch
 from torch import Tensor
-from torch.autograd.forward_ad import unpack_dual
 
-KINDS = {torch.float32: 0, torch.float16: 1, torch.uint8: 2}  # of numbers in an `ops.table.Table`
+STORED = {torch.float32: 0, torch.float16: 1, torch.uint8: 2, torch.bfloat16: 3}
+"""The numbers that signatures.h gives to types of stored tables."""
 
 
-def ready(*tensors: Tensor, types: Sequence[torch.dtype] = (torch.float32,)) -> bool:
-    """Whether a kernel can read tensors: of one of these types, on the CPU, without derivatives."""
-    if torch.compiler.is_compiling():
-        return False
-    recorded = torch.is_grad_enabled()
-    for t in tensors:  # sixty a frame
-        if t.dtype not in types or not t.is_cpu or (recorded and t.requires_grad) or unpack_dual(t)[1] is not None:
+def of_type(dtype: torch.dtype, *tensors: Tensor | None) -> bool:
+    """Tell whether tensors are of a type; None is of every type."""
+    for tensor in tensors:  # noqa: SIM110 (a generator would cost more than the sixty comparisons of a frame)
+        if tensor is not None and tensor.dtype != dtype:
             return False
     return True
 
 
-def address(t: Tensor | None) -> c_void_p:
-    return c_void_p(None if t is None else t.data_ptr())
+def contiguous(*tensors: Tensor | None) -> bool:
+    """Tell whether a kernel can read tensors in place; those that are small are copied instead of asked."""
+    for tensor in tensors:  # noqa: SIM110
+        if tensor is not None and not tensor.is_contiguous():
+            return False
+    return True
 
 
 def side(cells: int) -> int:
+    """The cells along the edge of a square of cells."""
     return math.isqrt(cells)
 
 
 def square(cells: int) -> bool:
+    """Tell whether so many cells fill a square."""
     return side(cells) ** 2 == cells > 0

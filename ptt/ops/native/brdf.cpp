@@ -4,17 +4,6 @@
 
 #include <vector>
 
-constexpr float LARGEST = 6e4f;  // that a float16 is given
-
-// As relight.py lays it out: U0 (k, 3, e, i), U1 (k, 3, q, e, 16), U2 (k, 3, p, e), H (3, q), pairs (3, p),
-// and two tables of what each of i, and of 16, adds to a row of out (k, 3, e, x): (3, i, padded), (3, 16, padded).
-struct Eigen {
-    const float *direct, *one, *two, *h, *pairs, *from_direct, *from_light;
-    float *out;
-    int64_t clusters, eigen, factors, slots, again, width, padded;
-    int32_t threads;
-};
-
 // R eigen-points from v on, of cluster and channel kc.
 template <int R>
 static inline void eigen_rows(const Eigen &g, int64_t kc, int64_t v, const float *second) {
@@ -43,7 +32,7 @@ static inline void eigen_rows(const Eigen &g, int64_t kc, int64_t v, const float
     }
 }
 
-extern "C" void ptt_eigen(const Eigen *g) {
+extern "C" int32_t ptt_eigen(const Eigen *g) {
     in_parallel(3 * g->clusters, g->threads, [&](int64_t kc) {
         std::vector<float> second(g->eigen);
         for (int64_t p = 0; p < g->again; ++p)
@@ -53,12 +42,12 @@ extern "C" void ptt_eigen(const Eigen *g) {
         for (; v + 4 <= g->eigen; v += 4) eigen_rows<4>(*g, kc, v, second.data());
         for (; v < g->eigen; ++v) eigen_rows<1>(*g, kc, v, second.data());
     });
+    return DONE;
 }
 
 // expand: S[b, c, x, w] unit[b] = sum over e of  A[cluster[b], c, e, x] W[b, e, w], rounded to 16 bits, and laid out in
 // blocks of GROUP points, so that the view step reads it in one line.
-constexpr int GROUP = 16;
-constexpr int ROWS = 6, ACROSS = 4;  // of a tile, in rows x and in vectors of w
+constexpr int ROWS = 6, ACROSS = 4;  // of a tile, in rows x and in vectors of w: 24 sums fill the 32 registers
 
 template <int R>
 static inline void expand_tile(const float *a, const float *w, Half *s, int64_t e, int64_t x, int64_t width,
@@ -98,23 +87,23 @@ static inline float reach(const float *w, int64_t e, int64_t width) {
     return found;
 }
 
-// width: a multiple of ACROSS * LANES
-extern "C" void ptt_expand(const float *eigen, const float *weights, const int64_t *cluster, Half *out, float *unit,
-                           int64_t blocks, int64_t channels, int64_t e, int64_t x, int64_t width, int threads) {
-    const int64_t tiles = (x + ROWS - 1) / ROWS;
-    in_parallel(blocks, threads, [&](int64_t b) {
-        const float *own = eigen + cluster[b] * channels * e * x, *w = weights + b * e * width;
+extern "C" int32_t ptt_expand(const Expand *g) {
+    static_assert(WIDTH % (ACROSS * LANES) == 0 && GROUP % LANES == 0, "a block holds whole tiles");
+    const int64_t e = g->factors, x = g->x, width = g->width, channels = g->channels, tiles = (x + ROWS - 1) / ROWS;
+    in_parallel(g->blocks, g->threads, [=](int64_t b) {
+        const float *own = g->eigen + g->cluster[b] * channels * e * x, *w = g->weights + b * e * width;
         // of what is largest: a float16 holds it, and the rest to 1e-9 of it
-        const float most = std::max(largest(own, channels * e * x) * reach(w, e, width), TINY) / LARGEST;
+        const float most = std::max(largest(own, channels * e * x) * reach(w, e, width), TINY) / LARGEST_HALF;
         const int64_t group = channels * x * GROUP;
-        std::fill(unit + b * width / GROUP, unit + (b + 1) * width / GROUP, most);
+        std::fill(g->unit + b * width / GROUP, g->unit + (b + 1) * width / GROUP, most);
         for (int64_t at = 0; at < width; at += ACROSS * LANES)
             for (int64_t c = 0; c < channels; ++c)
                 for (int64_t t = 0; t < tiles; ++t) {
                     const int64_t first = x * t / tiles, end = x * (t + 1) / tiles;
                     const float *a = own + c * e * x + first;
-                    Half *s = out + (b * width + at) / GROUP * group + (c * x + first) * GROUP;
+                    Half *s = g->out + (b * width + at) / GROUP * group + (c * x + first) * GROUP;
                     TILES[end - first - 1](a, w + at, s, e, x, width, group, 1 / most);
                 }
     });
+    return DONE;
 }

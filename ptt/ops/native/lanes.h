@@ -8,6 +8,8 @@
 
 #include <omp.h>
 
+#include "signatures.h"
+
 #if defined(__AVX512F__)
 #include <immintrin.h>
 constexpr int LANES = 16;
@@ -18,22 +20,11 @@ constexpr int LANES = 8;
 constexpr int LANES = 4;
 #endif
 
-constexpr float TINY = 1e-30f;
-constexpr int HARMONICS = 16;  // in which indirect light arrives: of order 4
-
 typedef float Lanes __attribute__((vector_size(4 * LANES)));
 typedef int32_t Ints __attribute__((vector_size(4 * LANES)));
 typedef float Four __attribute__((vector_size(16)));
 typedef float Eight __attribute__((vector_size(32)));
 typedef uint16_t Shorts __attribute__((vector_size(2 * LANES)));
-
-// The types of torch, by the numbers that relight.py gives them.
-struct Half {
-    uint16_t bits;
-};
-struct BFloat {
-    uint16_t bits;
-};
 
 static inline Lanes all(float x) { return x - Lanes{}; }
 static inline Lanes size(Lanes x) { return (Lanes)((Ints)x & 0x7fffffff); }
@@ -56,7 +47,7 @@ static inline Lanes load(const Half *p) {
 #elif defined(__F16C__) && defined(__AVX__)
     return (Lanes)_mm256_cvtph_ps(_mm_loadu_si128((const __m128i *)p));
 #else
-    Lanes x;
+    Lanes x = {};
     _Float16 h[LANES];
     std::memcpy(h, p, sizeof h);
     for (int l = 0; l < LANES; ++l) x[l] = h[l];

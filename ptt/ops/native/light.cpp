@@ -2,22 +2,15 @@
 
 #include "lanes.h"
 
-#include <type_traits>
 #include <vector>
 
-// light_eigen: U[k, c, x] = sum over l of  L[k, c, l] T[k, l, x]; T is read once, in its own type. L is where a cluster's
-// three channels begin, `channel` apart, and those of the next `cluster` further; columns: which l, or all in order.
+// light_eigen: U[k, c, x] = sum over l of  L[k, c, l] T[k, l, x]; T is read once, in its own type.
 constexpr int WIDE = 8;    // vectors of x at a time: their sums stay in registers
 constexpr int AHEAD = 32;  // rows that are fetched ahead, then those of the next tile
-constexpr int LINE = 64;   // bytes that memory gives at a time
 
 template <class Stored>
-struct Light {
-    const float *lighting;
-    const int64_t *columns;
-    const Stored *transfer;
-    float *out;
-    int64_t cluster, channel, rows, width;  // rows: l, width: x
+struct LightOf : LightEigen {
+    inline const Stored *stored() const { return (const Stored *)transfer; }
 
     inline float light(int64_t k, int c, int64_t l) const {
         return lighting[k * cluster + c * channel + (columns ? columns[k * rows + l] : l)];
@@ -25,7 +18,7 @@ struct Light {
 
     template <int N>
     inline void tile(int64_t k, int64_t x) const {
-        const Stored *t = transfer + k * rows * width + x;
+        const Stored *t = stored() + k * rows * width + x;
         Lanes sum[3][N] = {};
         for (int64_t l = 0; l < rows; ++l, t += width) {
             const Stored *later = t + (l + AHEAD < rows ? AHEAD * width : (AHEAD - rows) * width + N * LANES);
@@ -43,13 +36,13 @@ struct Light {
         Stored padded[LANES] = {};
         Lanes sum[3] = {};
         for (int64_t l = 0; l < rows; ++l) {
-            std::memcpy(padded, transfer + (k * rows + l) * width + x, (width - x) * sizeof(Stored));
+            std::memcpy(padded, stored() + (k * rows + l) * width + x, (width - x) * sizeof(Stored));
             for (int c = 0; c < 3; ++c) sum[c] += light(k, c, l) * load(padded);
         }
         for (int c = 0; c < 3; ++c) std::memcpy(out + (3 * k + c) * width + x, &sum[c], (width - x) * sizeof(float));
     }
 
-    void run(int64_t clusters, int threads) const {
+    Status run() const {
         const int64_t tiles = (width + WIDE * LANES - 1) / (WIDE * LANES);
         in_parallel(clusters * tiles, threads, [&](int64_t i) {
             const int64_t k = i / tiles;
@@ -60,45 +53,37 @@ struct Light {
             for (; x + LANES <= end; x += LANES) tile<1>(k, x);
             if (x < end) rest(k, x);
         });
+        return DONE;
     }
 };
 
-extern "C" void ptt_light(const float *lighting, const int64_t *columns, const void *transfer, float *out,
-                          int64_t cluster, int64_t channel, int64_t rows, int64_t width, int64_t clusters, int type,
-                          int threads) {
-    const auto run = [=](const auto *stored) {
-        Light<std::decay_t<decltype(*stored)>>{lighting, columns, stored, out, cluster, channel, rows, width}.run(
-            clusters, threads);
-    };
-    switch (type) {
-        case 0: return run((const float *)transfer);
-        case 1: return run((const Half *)transfer);
-        case 2: return run((const BFloat *)transfer);
+extern "C" int32_t ptt_light_eigen(const LightEigen *g) {
+    switch (g->type) {
+        case FLOAT32: return LightOf<float>{*g}.run();
+        case FLOAT16: return LightOf<Half>{*g}.run();
+        case BFLOAT16: return LightOf<BFloat>{*g}.run();
+        default: return UNKNOWN;
     }
 }
 
 // lighting: means of an octahedral map over the cells of a grid, from four samples each, in Haar coefficients.
 
-struct Lighting {
-    const float *map, *turn, *directions, *shares;  // map (side * side, 4), directions (4, 3, cells), shares (4, cells)
-    int64_t side, cells;
-
-    inline void group(int64_t cell, float *out) const {
-        Lanes sum[4] = {};
-        for (int q = 0; q < 4; ++q) {
-            Lanes world[3], d[3], texel[4];
-            for (int c = 0; c < 3; ++c) world[c] = load(directions + (3 * q + c) * cells + cell);
-            turned(world, turn, d);
-            const Corners on = on_sphere(d, side);
-            const Lanes share = load(shares + q * cells + cell);
-            for (int j = 0; j < 4; ++j) {
-                gather_four(map, on.cell[j] * 4, texel);
-                for (int c = 0; c < 3; ++c) sum[c] += share * on.weight[j] * texel[c];
-            }
+// LANES cells from one on, to out (3, cells)
+static inline void means(const Lighting &g, int64_t cells, int64_t cell) {
+    Lanes sum[4] = {};
+    for (int q = 0; q < 4; ++q) {
+        Lanes world[3], d[3], texel[4];
+        for (int c = 0; c < 3; ++c) world[c] = load(g.directions + (3 * q + c) * cells + cell);
+        turned(world, g.turn, d);
+        const Corners on = on_sphere(d, g.side);
+        const Lanes share = load(g.shares + q * cells + cell);
+        for (int j = 0; j < 4; ++j) {
+            gather_four(g.fine, on.cell[j] * 4, texel);
+            for (int c = 0; c < 3; ++c) sum[c] += share * on.weight[j] * texel[c];
         }
-        for (int c = 0; c < 3; ++c) store(out + c * cells + cell, sum[c]);
     }
-};
+    for (int c = 0; c < 3; ++c) store(g.out + c * cells + cell, sum[c]);
+}
 
 // ptt.ops.haar.analyse of one square of n cells along an edge, in place.
 static inline void analyse(float *square, float *scratch, int64_t n) {
@@ -117,13 +102,12 @@ static inline void analyse(float *square, float *scratch, int64_t n) {
     }
 }
 
-// cells: squares * n * n, a multiple of LANES; out (3, squares, n, n)
-extern "C" void ptt_lighting(const float *map, const float *turn, const float *directions, const float *shares,
-                             float *out, int64_t side, int64_t squares, int64_t n, int threads) {
-    const Lighting light{map, turn, directions, shares, side, squares * n * n};
-    in_parallel(light.cells / LANES, threads, [&](int64_t i) { light.group(i * LANES, out); });
-    in_parallel(3 * squares, threads, [&](int64_t i) {
+extern "C" int32_t ptt_lighting(const Lighting *g) {
+    const int64_t n = g->n, cells = g->squares * n * n;
+    in_parallel(cells / LANES, g->threads, [=](int64_t i) { means(*g, cells, i * LANES); });
+    in_parallel(3 * g->squares, g->threads, [=](int64_t i) {
         std::vector<float> scratch(n * n);
-        analyse(out + i * n * n, scratch.data(), n);
+        analyse(g->out + i * n * n, scratch.data(), n);
     });
+    return DONE;
 }

@@ -25,11 +25,14 @@ static inline Lanes angle(Lanes y, Lanes x) {
     return r * 0.159154943f;
 }
 
-// frames (p, 3, 3) among sampled ones (n * n, 3, 3); `between`: rows, weights (p, 4, 2)
-extern "C" void ptt_near_frames(const float *frames, const float *sampled, int32_t *rows, float *weights, int64_t points,
-                                int64_t n, int64_t twists, int between, int threads) {
+extern "C" int32_t ptt_near_frames(const NearFrames *g) {
+    const float *frames = g->frames, *sampled = g->sampled;
+    const bool between = g->between;  // rows, weights (points, 4, 2)
+    int32_t *rows = g->rows;
+    float *weights = g->weights;
+    const int64_t n = g->n, twists = g->twists;
     const int32_t all_around = twists;
-    by_lanes(points, threads, [=](int64_t p) {
+    by_lanes(g->points, g->threads, [=](int64_t p) {
         const float *first = frames + 9 * p;
         Lanes tangent[3], normal[3];
         for (int c = 0; c < 3; ++c) tangent[c] = gather(first + c, 9 * lane()), normal[c] = gather(first + 6 + c, 9 * lane());
@@ -60,12 +63,13 @@ extern "C" void ptt_near_frames(const float *frames, const float *sampled, int32
                 weights[i + 1] = at.weight[k][l] * share[k][l], weights[i] = at.weight[k][l] - weights[i + 1];
             }
     });
+    return DONE;
 }
 
-// toward the eye (3), or, where `positions` is null, in directions (p, 3)
-extern "C" void ptt_near_views(const float *frames, const float *positions, const float *eye, int32_t *rows,
-                               float *weights, int64_t points, int64_t views, int threads) {
-    by_lanes(points, threads, [=](int64_t p) {
+// toward the eye (3), or, where `positions` is null, in directions (points, 3)
+extern "C" int32_t ptt_near_views(const NearViews *g) {
+    const float *frames = g->frames, *positions = g->positions, *eye = g->eye;
+    by_lanes(g->points, g->threads, [=](int64_t p) {
         Lanes away[3], local[3];
         for (int c = 0; c < 3; ++c)
             away[c] = positions ? eye[c] - gather(positions + 3 * p + c, 3 * lane()) : gather(eye + 3 * p + c, 3 * lane());
@@ -76,24 +80,24 @@ extern "C" void ptt_near_views(const float *frames, const float *positions, cons
         }
         const Lanes sum = size(local[0]) + size(local[1]) + size(local[2]);
         const Lanes scale = sum > 0 ? 1.0f / most(sum, all(TINY)) : Lanes{};
-        put(corners((local[0] + local[1]) * scale, (local[0] - local[1]) * scale, views, false), rows, weights, p);
+        put(corners((local[0] + local[1]) * scale, (local[0] - local[1]) * scale, g->views, false), g->rows, g->weights, p);
     });
+    return DONE;
 }
 
-// corner_uv (f, 3, 2), triangle (p), barycentric (p, 3), in_use (side * side)
-extern "C" void ptt_near_texels(const float *corner_uv, const int64_t *triangle, const float *barycentric,
-                                const int32_t *in_use, int32_t *rows, float *weights, int64_t points, int64_t side,
-                                int threads) {
-    by_lanes(points, threads, [=](int64_t p) {
+extern "C" int32_t ptt_near_texels(const NearTexels *g) {
+    const float *corner_uv = g->corner_uv, *barycentric = g->barycentric;
+    by_lanes(g->points, g->threads, [=](int64_t p) {
         Ints corner;
-        for (int l = 0; l < LANES; ++l) corner[l] = (int32_t)triangle[p + l] * 6;
+        for (int l = 0; l < LANES; ++l) corner[l] = (int32_t)g->triangle[p + l] * 6;
         Lanes u = {}, v = {};
         for (int c = 0; c < 3; ++c) {
             const Lanes share = gather(barycentric + 3 * p + c, 3 * lane());
             u += share * gather(corner_uv + 2 * c, corner), v += share * gather(corner_uv + 2 * c + 1, corner);
         }
-        Corners at = corners(2.0f * u - 1.0f, 2.0f * v - 1.0f, side, false);
-        for (Ints &cell : at.cell) cell = (Ints)gather((const float *)in_use, cell);
-        put(at, rows, weights, p);
+        Corners at = corners(2.0f * u - 1.0f, 2.0f * v - 1.0f, g->side, false);
+        for (Ints &cell : at.cell) cell = (Ints)gather((const float *)g->in_use, cell);
+        put(at, g->rows, g->weights, p);
     });
+    return DONE;
 }

@@ -1,205 +1,292 @@
-"""Steps of relighting by kernels in C++; by the plain functions where a kernel does not fit.
+"""The light step and the BRDF step as operators; their plain functions are those of `ptt.ops.relight`.
 
-They take and give what those of `ptt.ops.relight` and `ptt.ops.view` do. The kernels are for the CPU without gradients,
-in float32 with three channels; what points send out is rounded to 16 bits.
+The kernels are for float32 with three channels; what points send out is rounded to 16 bits.
 """
 
 from __future__ import annotations
 
-import ctypes
 import math
 from collections.abc import Sequence
-from ctypes import c_int, c_int32, c_int64, c_void_p
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from ptt.ops import relight
-from ptt.ops import view as plain
-from ptt.ops.native.arguments import address, ready, side, square
-from ptt.ops.native.kernels import library
-from ptt.ops.octahedral import TILE
+from ptt.ops.constants import CHANNELS, GROUP, HARMONICS, WIDTH
+from ptt.ops.native.arguments import STORED, contiguous, of_type, side, square
+from ptt.ops.native.kernels import run
+from ptt.ops.native.operators import Conditions, operator, refusal
 from ptt.ops.relight import Arriving, Responses, Sent
-from ptt.ops.view import Gloss, Seen
 
-STORED = (torch.float32, torch.float16, torch.bfloat16)
-INDEX = (torch.int64,)
-WIDTH = 64
-GROUP = 16  # multiples of what `expand`, and the others, take at a time
-HARMONICS = 16
-PAD = 16  # of order 4; of the tables of `eigen`
-LOBES = 4
+TRANSFER = (torch.float32, torch.float16, torch.bfloat16)
+"""The types in which transfer is stored."""
 
-POINTERS = (
-    *("position", "frame", "colour", "eye", "outgoing", "sent", "unit"),
-    *("rho", "axes", "specular", "maps", "turn", "blurs", "cuts", "which", "place", "line", "out"),
-)
-LONGS = ("blocks", "width", "rows", "points")
-INTS = ("distant", "factors", "harmonics", "tilts", "disk", "cells", "map", "threads")
-
-
-class _Eigen(ctypes.Structure):
-    _fields_ = (
-        *((name, c_void_p) for name in ("direct", "one", "two", "h", "pairs", "from_direct", "from_light", "out")),
-        *((name, c_int64) for name in ("clusters", "eigen", "factors", "slots", "again", "width", "padded")),
-        ("threads", c_int32),
-    )
-
-
-class _View(ctypes.Structure):
-    _fields_ = (
-        *((name, c_void_p) for name in POINTERS),
-        *((name, c_int64) for name in LONGS),
-        *((name, c_int32) for name in INTS),
-    )
+# The map, turned, in Haar coefficients
 
 
 def lighting(fine: Tensor, turn: Tensor, directions: Tensor, shares: Tensor, shape: Sequence[int]) -> Tensor:
     """L (3, *shape), as `ptt.ops.relight.lighting`."""
-    *squares, n, _ = shape
-    count = math.prod(squares)
+    result: Tensor = _lighting(fine, turn, directions, shares, list(shape))
+    return result
+
+
+def _lighting_conditions(
+    fine: Tensor, turn: Tensor, directions: Tensor, shares: Tensor, shape: Sequence[int]
+) -> Conditions:
     cells = math.prod(shape)
-    fits = ready(fine, turn, directions, shares) and fine.shape[1] == 4 and square(len(fine)) and cells % GROUP == 0
-    fits = fits and turn.shape == (3, 3) and directions.shape == (4, 3, cells) and shares.shape == (4, cells)
-    kernels = library() if fits else None
-    if kernels is None:
-        return relight.lighting(fine, turn, directions, shares, shape)
+    yield of_type(torch.float32, fine, turn, directions, shares), "the map and its samples must be float32"
+    yield fine.ndim == 2 and fine.shape[1] == CHANNELS and square(len(fine)), "fine must be a square of four channels"
+    yield cells % GROUP == 0, f"the grid must have a multiple of {GROUP} cells"
+    yield turn.shape == (3, 3), "turn must be (3, 3)"
+    yield directions.shape == (4, 3, cells), "directions must be (4, 3, cells)"
+    yield shares.shape == (4, cells), "shares must be (4, cells)"
+
+
+def _lighting_kernel(fine: Tensor, turn: Tensor, directions: Tensor, shares: Tensor, shape: Sequence[int]) -> Tensor:
     out = fine.new_empty(3, *shape)
-    tensors = [t.contiguous() for t in (fine, turn, directions, shares, out)]  # kept until the kernel has read them
-    sizes = [c_int64(size) for size in (side(len(fine)), count, n)]
-    kernels.ptt_lighting(*map(address, tensors), *sizes, c_int(torch.get_num_threads()))
+    run(
+        "lighting",
+        fine=fine.contiguous(),
+        turn=turn.contiguous(),
+        directions=directions.contiguous(),
+        shares=shares.contiguous(),
+        out=out,
+        side=side(len(fine)),
+        squares=math.prod(shape[:-2]),
+        n=shape[-1],
+    )
     return out
+
+
+_lighting = operator(
+    "lighting(Tensor fine, Tensor turn, Tensor directions, Tensor shares, SymInt[] shape) -> Tensor",
+    plain=lambda *arguments: relight.lighting(*arguments).contiguous(),
+    kernel=_lighting_kernel,
+    conditions=_lighting_conditions,
+    fake=lambda fine, turn, directions, shares, shape: fine.new_empty(3, *shape),
+)
+
+# Transfer of eigen-points times light
 
 
 def light_eigen(transfer: Tensor, lighting: Tensor, columns: Tensor | None = None) -> Tensor:
-    """U (k, c, x), as `ptt.ops.relight.light_eigen`, summed in float32."""
-    k, rows, x = transfer.shape
-    fits = ready(lighting) and ready(transfer, types=STORED) and transfer.is_contiguous()
+    """U (k, c, x), as `ptt.ops.relight.light_eigen`; the kernel sums in float32."""
+    result: Tensor = _light_eigen(transfer, lighting, columns)
+    return result
+
+
+def _light_eigen_conditions(transfer: Tensor, lighting: Tensor, columns: Tensor | None) -> Conditions:
+    yield transfer.dtype in TRANSFER, "transfer must be float32, float16 or bfloat16"
+    yield contiguous(transfer), "transfer must be contiguous"
+    yield of_type(torch.float32, lighting), "lighting must be float32"
+    k, rows, _ = transfer.shape
     if columns is None:
-        fits = fits and lighting.shape in ((3, rows), (k, 3, rows))
+        yield lighting.shape in ((3, rows), (k, 3, rows)), "lighting must be (3, l) or (k, 3, l)"
     else:
-        fits = fits and ready(columns, types=INDEX) and columns.shape == (k, rows) and lighting.shape[:-1] == (3,)
-    kernels = library() if fits else None
-    if kernels is None:
-        return relight.light_eigen(transfer, lighting, columns)
-    lighting, out = lighting.contiguous(), lighting.new_empty(k, 3, x)
-    columns = None if columns is None else columns.contiguous()
-    cluster = 0 if lighting.ndim == 2 else 3 * rows
-    channel = lighting.shape[-1]
-    sizes = [c_int64(size) for size in (cluster, channel, rows, x, k)]
-    tensors = [address(t) for t in (lighting, columns, transfer, out)]
-    numbers = c_int(STORED.index(transfer.dtype)), c_int(torch.get_num_threads())
-    kernels.ptt_light(*tensors, *sizes, *numbers)
+        yield of_type(torch.int64, columns) and columns.shape == (k, rows), "columns must be (k, l), int64"
+        yield lighting.ndim == 2 and len(lighting) == 3, "lighting must be (3, all l)"
+
+
+def _light_eigen_kernel(transfer: Tensor, lighting: Tensor, columns: Tensor | None) -> Tensor:
+    k, rows, x = transfer.shape
+    out = lighting.new_empty(k, 3, x)
+    run(
+        "light_eigen",
+        lighting=lighting.contiguous(),
+        columns=None if columns is None else columns.contiguous(),
+        transfer=transfer,
+        out=out,
+        cluster=0 if lighting.ndim == 2 else 3 * rows,
+        channel=lighting.shape[-1],
+        rows=rows,
+        width=x,
+        clusters=k,
+        type=STORED[transfer.dtype],
+    )
     return out
+
+
+def _light_eigen_fake(transfer: Tensor, lighting: Tensor, columns: Tensor | None) -> Tensor:
+    return lighting.new_empty(len(transfer), lighting.shape[-2], transfer.shape[2])
+
+
+_light_eigen = operator(
+    "light_eigen(Tensor transfer, Tensor lighting, Tensor? columns) -> Tensor",
+    plain=lambda *arguments: relight.light_eigen(*arguments).contiguous(),
+    kernel=_light_eigen_kernel,
+    conditions=_light_eigen_conditions,
+    fake=_light_eigen_fake,
+)
+
+# What eigen-points send out
 
 
 def eigen(arriving: Arriving, h: Tensor, pairs: Tensor, coupling: Tensor, responses: Responses, glossy: bool) -> Tensor:
     """Q and I (k, c, e, 1 + o + s), as `ptt.ops.relight.eigen`."""
-    (k, c, e, i) = arriving.direct.shape
-    q = arriving.one.shape[2]
-    p = arriving.two.shape[2]
-    to_factors, to_harmonics = responses
-    fits = ready(*arriving, h, pairs, coupling, *responses) and c == 3 and h.shape == (3, q) and pairs.shape == (3, p)
-    fits = fits and arriving.one.shape == (k, 3, q, e, HARMONICS) and arriving.two.shape == (k, 3, p, e)
-    fits = fits and coupling.shape[::2] == (3, i) and to_factors.shape == (HARMONICS, i)
-    fits = fits and to_harmonics.shape == (HARMONICS, HARMONICS)
-    kernels = library() if fits else None
-    if kernels is None:
-        return relight.eigen(arriving, h, pairs, coupling, responses, glossy)
-    glossy = glossy and bool(q or p)
-    out = h.new_empty(k, 3, e, coupling.shape[1] + HARMONICS * glossy)
-    padding = -out.shape[3] % PAD
-    from_direct = torch.nn.functional.pad(coupling.transpose(1, 2), (0, out.shape[3] - coupling.shape[1] + padding))
-    from_light = to_factors @ coupling.transpose(1, 2)  # shape: (3, s, 1 + o)
-    harmonics = [to_harmonics.expand(3, -1, -1)] if glossy else []
-    from_light = torch.nn.functional.pad(torch.cat((from_light, *harmonics), 2), (0, padding))
-    inputs = [t.contiguous() for t in (*arriving, h, pairs, from_direct, from_light)]
-    sizes = (k, e, i, q, p, out.shape[3], out.shape[3] + padding, torch.get_num_threads())
-    kernels.ptt_eigen(ctypes.byref(_Eigen(*(t.data_ptr() for t in (*inputs, out)), *sizes)))
+    result: Tensor = _eigen(*arriving, h, pairs, coupling, *responses, glossy)
+    return result
+
+
+def _eigen_plain(
+    direct: Tensor,
+    one: Tensor,
+    two: Tensor,
+    h: Tensor,
+    pairs: Tensor,
+    coupling: Tensor,
+    to_factors: Tensor,
+    to_harmonics: Tensor,
+    glossy: bool,
+) -> Tensor:
+    arriving = Arriving(direct, one, two)
+    responses = Responses(to_factors, to_harmonics)
+    return relight.eigen(arriving, h, pairs, coupling, responses, glossy).contiguous()
+
+
+def _eigen_conditions(
+    direct: Tensor,
+    one: Tensor,
+    two: Tensor,
+    h: Tensor,
+    pairs: Tensor,
+    coupling: Tensor,
+    to_factors: Tensor,
+    to_harmonics: Tensor,
+    glossy: bool,
+) -> Conditions:
+    k, c, e, i = direct.shape
+    q = one.shape[2]
+    p = two.shape[2]
+    everything = (direct, one, two, h, pairs, coupling, to_factors, to_harmonics)
+    yield of_type(torch.float32, *everything), "everything must be float32"
+    yield c == 3, "there must be three channels"
+    yield h.shape == (3, q), "h must be (3, q)"
+    yield pairs.shape == (3, p), "pairs must be (3, p)"
+    yield one.shape == (k, 3, q, e, HARMONICS), f"U1 must be (k, 3, q, e, {HARMONICS})"
+    yield two.shape == (k, 3, p, e), "U2 must be (k, 3, p, e)"
+    yield coupling.ndim == 3 and coupling.shape[::2] == (3, i), "coupling must be (3, 1 + o, 1 + i)"
+    yield to_factors.shape == (HARMONICS, i), f"to_factors must be ({HARMONICS}, 1 + i)"
+    yield to_harmonics.shape == (HARMONICS, HARMONICS), f"to_harmonics must be ({HARMONICS}, {HARMONICS})"
+
+
+def _eigen_kernel(
+    direct: Tensor,
+    one: Tensor,
+    two: Tensor,
+    h: Tensor,
+    pairs: Tensor,
+    coupling: Tensor,
+    to_factors: Tensor,
+    to_harmonics: Tensor,
+    glossy: bool,
+) -> Tensor:
+    out = _eigen_fake(direct, one, two, h, pairs, coupling, to_factors, to_harmonics, glossy)
+    k, _, e, i = direct.shape
+    width = out.shape[3]
+    padded = width + -width % GROUP
+    transposed = coupling.transpose(1, 2)  # shape: (3, 1 + i, 1 + o)
+    from_light = [to_factors @ transposed]  # shape: (3, s, 1 + o)
+    if width > coupling.shape[1]:
+        from_light.append(to_harmonics.expand(3, -1, -1))
+    run(
+        "eigen",
+        direct=direct.contiguous(),
+        one=one.contiguous(),
+        two=two.contiguous(),
+        h=h.contiguous(),
+        pairs=pairs.contiguous(),
+        from_direct=pad(transposed, (0, padded - coupling.shape[1])).contiguous(),
+        from_light=pad(torch.cat(from_light, 2), (0, padded - width)),
+        out=out,
+        clusters=k,
+        eigen=e,
+        factors=i,
+        slots=one.shape[2],
+        again=two.shape[2],
+        width=width,
+        padded=padded,
+    )
     return out
+
+
+def _eigen_fake(
+    direct: Tensor,
+    one: Tensor,
+    two: Tensor,
+    h: Tensor,
+    pairs: Tensor,
+    coupling: Tensor,
+    to_factors: Tensor,
+    to_harmonics: Tensor,
+    glossy: bool,
+) -> Tensor:
+    k, c, e, _ = direct.shape
+    lit = glossy and (one.shape[2] > 0 or two.shape[2] > 0)
+    return direct.new_empty(k, c, e, coupling.shape[1] + len(to_harmonics) * lit)
+
+
+_eigen = operator(
+    "eigen(Tensor direct, Tensor one, Tensor two, Tensor h, Tensor pairs, Tensor coupling, Tensor to_factors, "
+    "Tensor to_harmonics, bool glossy) -> Tensor",
+    plain=_eigen_plain,
+    kernel=_eigen_kernel,
+    conditions=_eigen_conditions,
+    fake=_eigen_fake,
+)
+
+# From eigen-points to points
 
 
 def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Sent:
-    """Values, as `ptt.ops.relight.expand`, in float16, scaled so that none overflows, and in smaller blocks."""
-    (_, c, e, x) = eigen.shape
-    (b, _, w) = weights.shape
-    fits = ready(eigen, weights) and weights.is_contiguous() and ready(cluster, types=INDEX)
-    fits = fits and w % WIDTH == 0 and weights.shape[1] == e and cluster.shape == (b,)
-    kernels = library() if fits else None
-    if kernels is None:
-        return relight.expand(eigen, weights, cluster)
-    eigen = eigen.contiguous()
-    cluster = cluster.contiguous()
-    groups = b * w // GROUP
-    sent = Sent(torch.empty(groups, c, x, GROUP, dtype=torch.float16), torch.empty(groups))
-    sizes = [c_int64(size) for size in (b, c, e, x, w)]
-    tensors = [address(t) for t in (eigen, weights, cluster, *sent)]
-    kernels.ptt_expand(*tensors, *sizes, c_int(torch.get_num_threads()))
-    return sent
+    """Values as `ptt.ops.relight.expand`; those of the kernel are float16, scaled to its range, in smaller blocks."""
+    return Sent(*_expand(eigen, weights, cluster))
 
 
-def view(regions: Sequence[Seen], outgoing: Tensor) -> Tensor:
-    """B (v, c), as `ptt.ops.view.view`; where a point is at the eye, its lobes are finite."""
-    kernels = library() if all(_fits(region, outgoing) for region in regions) else None
-    if kernels is None:
-        return plain.view(regions, outgoing)
-    outgoing = outgoing.contiguous()
-    sizes = [len(region.points.place) for region in regions]
-    line = outgoing.new_empty(max(region.points.position.shape[1] for region in regions), 3)
-    out = outgoing.new_empty(sum(sizes), 3)
-    for region, rows in zip(regions, out.split(sizes), strict=True):
-        _write(kernels, region, outgoing, line, rows)
-    return out
+def _expand_conditions(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Conditions:
+    yield of_type(torch.float32, eigen, weights), "eigen and weights must be float32"
+    yield contiguous(weights), "weights must be contiguous"
+    yield weights.shape[1] == eigen.shape[2], "weights must be (b, e, w)"
+    yield weights.shape[2] % WIDTH == 0, f"blocks must hold a multiple of {WIDTH} points"
+    yield of_type(torch.int64, cluster) and cluster.shape == weights.shape[:1], "cluster must be (b,), int64"
 
 
-def _write(kernels: ctypes.CDLL, region: Seen, outgoing: Tensor, line: Tensor, out: Tensor) -> None:
-    """Of one region into out (v, 3); line (n, 3) is overwritten."""
-    points, eye, sent, gloss = region
-    b, _, rows, width = sent.values.shape
-    tensors = {"position": points.position, "frame": points.frame, "place": points.place, "eye": eye.contiguous()}
-    tensors |= {"outgoing": outgoing, "sent": sent.values, "unit": sent.unit, "line": line, "out": out}
-    numbers = {"blocks": b, "width": width, "rows": rows, "points": len(out), "threads": torch.get_num_threads()}
-    numbers |= {"distant": eye.ndim == 2, "factors": 1 + outgoing.shape[1], "disk": side(len(outgoing))}
-    if points.colour is not None:
-        tensors["colour"] = points.colour
-    if gloss is not None:
-        tensors |= {name: tensor.contiguous() for name, tensor in gloss._asdict().items()} | {"cuts": points.cuts}
-        numbers |= {"harmonics": rows - numbers["factors"], "tilts": len(gloss.axes)}
-        numbers |= {"cells": side(points.cuts.shape[1]), "map": side(gloss.maps.shape[1])}
-    pointers = {name: tensor.data_ptr() for name, tensor in tensors.items()}
-    kernels.ptt_view(ctypes.byref(_View(**pointers, **numbers)), 0 if gloss is None else len(gloss.which))
+def _expand_kernel(eigen: Tensor, weights: Tensor, cluster: Tensor) -> tuple[Tensor, Tensor]:
+    values, unit = _in_groups(eigen, weights)
+    b, e, w = weights.shape
+    run(
+        "expand",
+        eigen=eigen.contiguous(),
+        weights=weights,
+        cluster=cluster.contiguous(),
+        out=values,
+        unit=unit,
+        blocks=b,
+        channels=eigen.shape[1],
+        factors=e,
+        x=eigen.shape[3],
+        width=w,
+    )
+    return values, unit
 
 
-def _fits(region: Seen, outgoing: Tensor) -> bool:
-    """Whether the kernel of the view step is for a region."""
-    points, eye, (values, unit), gloss = region
-    colour = () if points.colour is None else (points.colour,)
-    large = points.position, points.frame, unit, *colour
-    if not ready(*large, eye, outgoing) or not ready(values, types=(torch.float16,)):
-        return False
-    if not ready(points.place, types=INDEX) or not all(t.is_contiguous() for t in (*large, values, points.place)):
-        return False
-    if values.ndim != 4 or values.shape[1] != 3 or values.shape[3] % GROUP:
-        return False
-    b, _, rows, width = values.shape
-    n = b * width
-    o = 1 + outgoing.shape[1]
-    shapes = points.position.shape == (3, n) and points.frame.shape == (3, 3, n) and eye.shape in ((3,), (3, n))
-    shapes = shapes and all(t.shape == (3, n) for t in colour) and unit.shape == (b,)
-    shapes = shapes and square(len(outgoing)) and rows >= o
-    return shapes and (gloss is None or _fits_gloss(gloss, points.cuts, n, rows - o))
+def _in_groups(eigen: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+    groups = len(weights) * weights.shape[2] // GROUP
+    values = eigen.new_empty(groups, eigen.shape[1], eigen.shape[3], GROUP, dtype=torch.float16)
+    return values, eigen.new_empty(groups)
 
 
-def _fits_gloss(gloss: Gloss, cuts: Tensor, n: int, harmonics: int) -> bool:
-    which, rho, axes, specular, maps, turn, blurs = gloss
-    if not ready(rho, axes, specular, maps, turn, blurs) or not ready(which, types=INDEX):
-        return False
-    if not ready(cuts, types=(torch.int32,)) or not cuts.is_contiguous():
-        return False
-    k = len(which)
-    tilts = len(axes)
-    shapes = 0 < k <= LOBES and rho.shape == (tilts, k) and axes.shape == (tilts, 2 * k) and specular.shape == (3,)
-    shapes = shapes and turn.shape == (3, 3) and maps.shape[::2] == (k, 4)
-    shapes = shapes and maps.shape[1] > 1 and square(maps.shape[1]) and len(blurs) == k
-    shapes = shapes and (harmonics == 0 or harmonics == HARMONICS == blurs.shape[1])
-    return shapes and cuts.shape[0] == n and square(cuts.shape[1]) and side(cuts.shape[1]) % TILE == 0
+def _expand_fake(eigen: Tensor, weights: Tensor, cluster: Tensor) -> tuple[Tensor, Tensor]:
+    if eigen.device.type == "cpu" and refusal(_expand_conditions(eigen, weights, cluster)) is None:
+        return _in_groups(eigen, weights)
+    blocks = len(weights)
+    return eigen.new_empty(blocks, eigen.shape[1], eigen.shape[3], weights.shape[2]), eigen.new_empty(blocks)
+
+
+_expand = operator(
+    "expand(Tensor eigen, Tensor weights, Tensor cluster) -> (Tensor, Tensor)",
+    plain=lambda *arguments: tuple(t.contiguous() for t in relight.expand(*arguments)),
+    kernel=_expand_kernel,
+    conditions=_expand_conditions,
+    fake=_expand_fake,
+)

@@ -7,8 +7,6 @@
 
 #include <vector>
 
-typedef float Four __attribute__((vector_size(16)));
-
 static inline Four four(const float *p) {
     Four x;
     std::memcpy(&x, p, sizeof x);
@@ -45,18 +43,21 @@ static inline void local_maps(float *out, int64_t frames, int64_t m, int threads
     });
 }
 
-// source (N) Fours; starts (frames * m * m + 1); reads: cell * 256 + count, the counts of a cell sum to 1 / unit
-extern "C" void ptt_local_light(const float *source, const int64_t *starts, const int32_t *reads, float *out,
-                                int64_t frames, int64_t m, float unit, int threads) {
-    local_maps(out, frames, m, threads, [=](int64_t f, Four *map) {
-        const int64_t *start = starts + f * m * m;
+// The sum of what a cell of S reads of a source of Fours, from k on, which moves to the next cell's.
+static inline Four read(const float *source, const int32_t *reads, int64_t &k, int64_t end) {
+    Four sum = {};
+    for (; k < end; ++k) sum += (float)(reads[k] & 255) * four(source + (reads[k] >> 8) * CHANNELS);
+    return sum;
+}
+
+extern "C" int32_t ptt_local_light(const LocalLight *g) {
+    const int64_t cells = g->m * g->m;
+    local_maps(g->out, g->frames, g->m, g->threads, [=](int64_t f, Four *map) {
+        const int64_t *start = g->starts + f * cells;
         int64_t k = start[0];
-        for (int64_t cell = 0; cell < m * m; ++cell) {
-            Four sum = {};
-            for (; k < start[cell + 1]; ++k) sum += (float)(reads[k] & 255) * four(source + (reads[k] >> 8) * 4);
-            map[cell] = sum * unit;
-        }
+        for (int64_t cell = 0; cell < cells; ++cell) map[cell] = read(g->source, g->reads, k, start[cell + 1]) * g->unit;
     });
+    return DONE;
 }
 
 static inline void keep(float *out, float x) { *out = x; }
@@ -76,43 +77,44 @@ static inline void stored(const float *x, int64_t count, float largest, T *out, 
     for (int64_t i = 0; i < count; ++i) keep(out + i, x[i] * by);
 }
 
-// S applied without a transform: out (frames, 3, cells) of a type, 0 for float32, 1 for 16 bits, 2 for 8; scale (frames)
-extern "C" void ptt_resampled_values(const float *source, const int64_t *starts, const int32_t *reads, void *out,
-                                     float *scale, int64_t frames, int64_t cells, float unit, float largest, int type,
-                                     int threads) {
-    in_parallel(frames, threads, [=](int64_t f) {
+template <class T>
+static Status resampled(const ResampledValues &g) {
+    in_parallel(g.frames, g.threads, [&](int64_t f) {
         static thread_local std::vector<float> rows;
-        const int64_t count = 3 * cells;
+        const int64_t count = 3 * g.cells;
         rows.resize(count);
-        const int64_t *start = starts + f * cells;
+        const int64_t *start = g.starts + f * g.cells;
         int64_t k = start[0];
-        for (int64_t cell = 0; cell < cells; ++cell) {
-            Four sum = {};
-            for (; k < start[cell + 1]; ++k) sum += (float)(reads[k] & 255) * four(source + (reads[k] >> 8) * 4);
-            for (int c = 0; c < 3; ++c) rows[c * cells + cell] = sum[c] * unit;
+        for (int64_t cell = 0; cell < g.cells; ++cell) {
+            const Four sum = read(g.source, g.reads, k, start[cell + 1]);
+            for (int c = 0; c < 3; ++c) rows[c * g.cells + cell] = sum[c] * g.unit;
         }
-        switch (type) {
-            case 0: return stored(rows.data(), count, largest, (float *)out + f * count, scale + f);
-            case 1: return stored(rows.data(), count, largest, (Half *)out + f * count, scale + f);
-            case 2: return stored(rows.data(), count, largest, (uint8_t *)out + f * count, scale + f);
-        }
+        stored(rows.data(), count, g.largest, (T *)g.values + f * count, g.scale + f);
     });
+    return DONE;
 }
 
-// frames (f, 3, 3); directions (3, m * m * each), of the samples of each cell, padded to whole vectors
-extern "C" void ptt_resampled_light(const float *source, const float *frames, const float *directions, float *out,
-                                    int64_t count, int64_t m, int64_t each, int64_t padded, int64_t n, int threads) {
-    local_maps(out, count, m, threads, [=](int64_t f, Four *map) {
+// S applied without a transform.
+extern "C" int32_t ptt_resampled_values(const ResampledValues *g) {
+    switch (g->type) {
+        case FLOAT32: return resampled<float>(*g);
+        case FLOAT16: return resampled<Half>(*g);
+        case UINT8: return resampled<uint8_t>(*g);
+        default: return UNKNOWN;
+    }
+}
+
+extern "C" int32_t ptt_resampled_light(const ResampledLight *g) {
+    const int64_t m = g->m, each = g->each, padded = g->padded, n = g->n;
+    local_maps(g->out, g->count, m, g->threads, [=](int64_t f, Four *map) {
         static thread_local std::vector<int32_t> at;
         at.resize(padded);
-        const float half = 0.5f * n, *turn = frames + 9 * f;
+        const float half = 0.5f * n, *turn = g->frames + 9 * f, *directions = g->directions;
         for (int64_t i = 0; i < padded; i += LANES) {
             const Lanes local[3] = {load(directions + i), load(directions + padded + i), load(directions + 2 * padded + i)};
-            Lanes d[3];
+            Lanes d[3], a, b;
             turned(local, turn, d);
-            const Lanes scale = 1.0f / most(size(d[0]) + size(d[1]) + size(d[2]), all(TINY));
-            const Lanes x = d[0] * scale, y = d[1] * scale;
-            const Lanes a = d[2] < 0 ? signed_as(1.0f - size(y), x) : x, b = d[2] < 0 ? signed_as(1.0f - size(x), y) : y;
+            octahedral(d, a, b);
             const Ints column = clamp(whole((a + 1.0f) * half), n - 1), row = clamp(whole((b + 1.0f) * half), n - 1);
             const Ints cell = row * (int32_t)n + column;
             std::memcpy(at.data() + i, &cell, sizeof cell);
@@ -120,28 +122,15 @@ extern "C" void ptt_resampled_light(const float *source, const float *frames, co
         const int32_t *k = at.data();
         for (int64_t cell = 0; cell < m * m; ++cell, k += each) {
             Four sum = {};
-            for (int64_t i = 0; i < each; ++i) sum += four(source + k[i] * 4);
+            for (int64_t i = 0; i < each; ++i) sum += four(g->source + k[i] * CHANNELS);
             map[cell] = sum * (1.0f / each);
         }
     });
+    return DONE;
 }
 
-// As rotation.py lays it out: S by starts (rows + 1) and reads; `terms` basis functions of the source that differ from zero
-// in each of its cells, at and worth (cells, terms); the local maps' analysis by begins (m * m + 1), parts and shares.
-struct Form {
-    const int64_t *starts, *begins;
-    const int32_t *reads, *at, *parts;
-    const double *worth, *shares;
-    int64_t *kept;  // numbers of each row: counted where `numbers` is null, then where the row begins
-    void *columns;
-    int16_t *numbers;
-    int64_t frames, m, cells, terms;
-    double scale;  // of a count, to units
-    int32_t threshold, wide, threads;
-};
-
 // Rows of R in whole units: once to count those that are kept, once to write them.
-extern "C" void ptt_form(const Form *g) {
+extern "C" int32_t ptt_quantised_rows(const QuantisedRows *g) {
     const int64_t rows = g->m * g->m;
     in_parallel(g->frames, g->threads, [=](int64_t f) {
         static thread_local std::vector<double> sum;
@@ -162,7 +151,7 @@ extern "C" void ptt_form(const Form *g) {
                 }
             }
             if (g->numbers) std::sort(touched.begin(), touched.end());
-            int64_t to = g->numbers ? g->kept[f * rows + row] : 0;
+            int64_t to = g->numbers ? g->begin[f * rows + row] : 0;
             for (const int32_t column : touched) {
                 const long number = std::lrint(sum[column] * g->scale);
                 sum[column] = 0;  // one that was touched twice is 0 by then, and not kept
@@ -174,51 +163,38 @@ extern "C" void ptt_form(const Form *g) {
                 }
                 ++to;
             }
-            if (!g->numbers) g->kept[f * rows + row] = to;
+            if (!g->numbers) g->counts[f * rows + row] = to;
         }
     });
+    return DONE;
 }
 
-// R in 16 bits: rows (frames * m * m), columns of `wide` or narrow type; coefficients (N) Fours
+// R in 16 bits
 template <class Column>
-static void rotated(const float *coefficients, const int64_t *starts, const Column *columns, const int16_t *numbers,
-                    float *out, int64_t rows, float unit, int threads) {
-    constexpr int64_t BLOCK = 256;
-    in_parallel((rows + BLOCK - 1) / BLOCK, threads, [=](int64_t block) {
-        for (int64_t row = block * BLOCK; row < std::min((block + 1) * BLOCK, rows); ++row) {
+static Status rotated(const RotatedLight &g) {
+    constexpr int64_t BLOCK = 256;  // rows of a thread's turn
+    const Column *columns = (const Column *)g.columns;
+    in_parallel((g.rows + BLOCK - 1) / BLOCK, g.threads, [&](int64_t block) {
+        for (int64_t row = block * BLOCK; row < std::min((block + 1) * BLOCK, g.rows); ++row) {
             Four sum[4] = {};
-            int64_t k = starts[row];
-            const int64_t end = starts[row + 1];
+            int64_t k = g.starts[row];
+            const int64_t end = g.starts[row + 1];
             for (; k + 4 <= end; k += 4)
-                for (int j = 0; j < 4; ++j) sum[j] += (float)numbers[k + j] * four(coefficients + 4 * columns[k + j]);
-            for (; k < end; ++k) sum[0] += (float)numbers[k] * four(coefficients + 4 * columns[k]);
-            const Four all = ((sum[0] + sum[1]) + (sum[2] + sum[3])) * unit;
-            std::memcpy(out + 4 * row, &all, sizeof all);
+                for (int j = 0; j < 4; ++j)
+                    sum[j] += (float)g.numbers[k + j] * four(g.source + CHANNELS * columns[k + j]);
+            for (; k < end; ++k) sum[0] += (float)g.numbers[k] * four(g.source + CHANNELS * columns[k]);
+            const Four all = ((sum[0] + sum[1]) + (sum[2] + sum[3])) * g.unit;
+            std::memcpy(g.out + CHANNELS * row, &all, sizeof all);
         }
     });
+    return DONE;
 }
 
-extern "C" void ptt_rotated_light(const float *coefficients, const int64_t *starts, const void *columns,
-                                  const int16_t *numbers, float *out, int64_t rows, float unit, int wide, int threads) {
-    if (wide) return rotated(coefficients, starts, (const int32_t *)columns, numbers, out, rows, unit, threads);
-    rotated(coefficients, starts, (const int16_t *)columns, numbers, out, rows, unit, threads);
+extern "C" int32_t ptt_rotated_light(const RotatedLight *g) {
+    return g->wide ? rotated<int32_t>(*g) : rotated<int16_t>(*g);
 }
 
-constexpr int CORNERS = 4;  // normals around a point
-
-// As rotation.py lays it out: position, normal (3, v), frames (f, 3, 3), near, first and weights (4, v), light (f, x)
-// Fours, slices (s, t), out (v) Fours.
-struct Reflect {
-    const float *position, *normal, *frames, *eye, *weights, *light;
-    const int32_t *near, *first;
-    const int16_t *terms;
-    const Half *values;
-    float *out;
-    int64_t points, width, kept;  // width: x; kept: t; points and t are multiples of 16
-    int32_t distant, views, threads;
-};
-
-extern "C" void ptt_reflected(const Reflect *g) {
+extern "C" int32_t ptt_reflected(const Reflected *g) {
     const int64_t v = g->points;
     in_parallel(v / LANES, g->threads, [=](int64_t block) {
         const int64_t at = block * LANES;
@@ -262,4 +238,5 @@ extern "C" void ptt_reflected(const Reflect *g) {
             std::memcpy(g->out + (at + l) * 4, &total, sizeof total);
         }
     });
+    return DONE;
 }

@@ -1,12 +1,11 @@
-"""Rotation of light, and what slices reflect of it, by kernels in C++; by the plain functions where none fits.
+"""Rotation of light, and what slices reflect of it, as operators.
 
-They take and give what those of `ptt.ops.rotation` and `ptt.ops.slices` do, in float32 with up to four channels.
+Their plain functions are those of `ptt.ops.rotation` and `ptt.ops.slices`. The kernels are for float32 with up to four
+channels.
 """
 
 from __future__ import annotations
 
-import ctypes
-from ctypes import c_double, c_float, c_int, c_int32, c_int64, c_void_p
 from functools import cache
 
 import torch
@@ -14,166 +13,273 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from ptt.ops import haar, rotation, slices
-from ptt.ops.native.arguments import KINDS, address, ready
-from ptt.ops.native.kernels import library
+from ptt.ops.constants import CHANNELS, CORNERS, GROUP
+from ptt.ops.native.arguments import STORED, contiguous, of_type
+from ptt.ops.native.kernels import run
+from ptt.ops.native.operators import Conditions, operator
+from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.rotation import Quantised, Resampling
-from ptt.ops.slices import ALIGNED, Located, Slices
-from ptt.ops.sphere import Grid
+from ptt.ops.slices import Located, Slices
 from ptt.ops.table import LARGEST, Table
 
-CHANNELS = 4  # of a value in the kernels
-POINTERS = ("position", "normal", "frames", "eye", "weights", "light", "near", "first", "terms", "values", "out")
-LONGS = ("points", "width", "kept")
-INTS = ("distant", "views", "threads")
+KEPT = (torch.float32, torch.float16, torch.uint8)
+"""The types in which a `Table` is stored."""
 
 
-class _Form(ctypes.Structure):
-    _fields_ = (
-        *((name, c_void_p) for name in ("starts", "begins", "reads", "at", "parts", "worth", "shares")),
-        *((name, c_void_p) for name in ("kept", "columns", "numbers")),
-        *((name, c_int64) for name in ("frames", "m", "cells", "terms")),
-        ("scale", c_double),
-        *((name, c_int32) for name in ("threshold", "wide", "threads")),
-    )
-
-
-class _Reflect(ctypes.Structure):
-    _fields_ = (
-        *((name, c_void_p) for name in POINTERS),
-        *((name, c_int64) for name in LONGS),
-        *((name, c_int32) for name in INTS),
-    )
-
-
-def rotates(coefficients: Tensor) -> bool:
-    """Whether the kernels are for this light."""
-    return ready(coefficients) and len(coefficients) <= CHANNELS and library() is not None
-
-
-def local_light(coefficients: Tensor, s: Resampling, m: int) -> Tensor:
-    """(f, M, c), as `ptt.ops.rotation.local_light`."""
-    kernels = library() if rotates(coefficients) else None
-    if kernels is None:
-        return rotation.local_light(coefficients, s, m)
-    frames = (len(s.starts) - 1) // m**2
-    source = _four(haar.synthesise(coefficients))
-    out = coefficients.new_empty(frames, m * m, CHANNELS)
-    tensors = map(address, (source, s.starts, s.reads, out))
-    numbers = c_int64(frames), c_int64(m), c_float(1 / s.samples**2), c_int(torch.get_num_threads())
-    kernels.ptt_local_light(*tensors, *numbers)
-    return out[..., : len(coefficients)]
-
-
-def resampled_light(coefficients: Tensor, frames: Tensor, target: Grid, samples: int = rotation.SAMPLES) -> Tensor:
-    """(f, M, c), as `ptt.ops.rotation.resampled_light`."""
-    kernels = library() if rotates(coefficients) and ready(frames) else None
-    if kernels is None:
-        return rotation.resampled_light(coefficients, frames, target, samples)
-    m = target.shape[-1]
-    frames = frames.contiguous()
-    directions = _directions(target, samples)
-    source = _four(haar.synthesise(coefficients))
-    out = coefficients.new_empty(len(frames), m * m, CHANNELS)
-    tensors = map(address, (source, frames, directions, out))
-    sizes = (len(frames), m, samples**2, directions.shape[1], coefficients.shape[-1])
-    kernels.ptt_resampled_light(*tensors, *map(c_int64, sizes), c_int(torch.get_num_threads()))
-    return out[..., : len(coefficients)]
-
-
-def resampled_values(values: Tensor, s: Resampling, cells: int, storage: torch.dtype = torch.float16) -> Table:
-    """(f, c, cells), as `ptt.ops.rotation.resampled_values`."""
-    fits = ready(values) and values.shape[1:] == (3,) and storage in KINDS
-    kernels = library() if fits else None
-    if kernels is None:
-        return rotation.resampled_values(values, s, cells, storage)
-    frames = (len(s.starts) - 1) // cells
-    out = Table(torch.empty(frames, 3, cells, dtype=storage), torch.empty(frames))
-    numbers = c_int64(frames), c_int64(cells), c_float(1 / s.samples**2), c_float(LARGEST.get(storage, 0.0))
-    tensors = pad(values, (0, 1)).contiguous(), s.starts, s.reads, *out
-    kernels.ptt_resampled_values(
-        *map(address, tensors), *numbers, c_int(KINDS[storage]), c_int(torch.get_num_threads())
-    )
-    return out
-
-
-def quantised(s: Resampling, n: int, m: int, unit: float, threshold: int) -> Quantised:
-    """R in 16 bits, as `ptt.ops.rotation.quantised`, on all cores."""
-    kernels = library()
-    if kernels is None:
-        return rotation.quantised(s, n, m, unit, threshold)
-    source = rotation.haar_matrix(n)
-    analysis = _analysis(m)
-    rows = len(s.starts) - 1
-    tensors = {"starts": s.starts, "reads": s.reads, "at": source.col_indices(), "worth": source.values()}
-    tensors |= dict(zip(("begins", "parts", "shares"), analysis, strict=True))
-    tensors |= {"kept": torch.empty(rows, dtype=torch.int64)}
-    numbers = {"frames": rows // m**2, "m": m, "cells": n * n, "terms": source.values().numel() // n**2}
-    column = rotation.column_type(n)
-    numbers |= {"threshold": max(1, threshold), "wide": column == torch.int32, "threads": torch.get_num_threads()}
-    pointers = {name: tensor.data_ptr() for name, tensor in tensors.items()}
-    scale = 1 / (unit * s.samples**2)
-    kernels.ptt_form(ctypes.byref(_Form(**pointers, **numbers, scale=scale)))
-    starts = pad(tensors["kept"].cumsum(0), (1, 0))
-    columns, values = (torch.empty(int(starts[-1]), dtype=t) for t in (column, torch.int16))
-    pointers |= {"kept": starts.data_ptr(), "columns": columns.data_ptr(), "numbers": values.data_ptr()}
-    kernels.ptt_form(ctypes.byref(_Form(**pointers, **numbers, scale=scale)))
-    return Quantised(starts, columns, values, unit)
-
-
-def rotated_light(coefficients: Tensor, matrix: Quantised, m: int) -> Tensor:
-    """(f, M, c), as `ptt.ops.rotation.rotated_light` of the matrix's `to_csr`."""
-    kernels = library() if rotates(coefficients) else None
-    if kernels is None:
-        csr = matrix.to_csr(coefficients[0].numel(), coefficients.dtype)
-        return rotation.rotated_light(coefficients, csr, m)
-    rows = len(matrix.starts) - 1
-    source = _four(coefficients)
-    out = coefficients.new_empty(rows // m**2, m * m, CHANNELS)
-    tensors = map(address, (source, matrix.starts, matrix.columns, matrix.numbers, out))
-    wide = c_int(matrix.columns.dtype == torch.int32)
-    kernels.ptt_rotated_light(*tensors, c_int64(rows), c_float(matrix.unit), wide, c_int(torch.get_num_threads()))
-    return out[..., : len(coefficients)]
-
-
-def reflected(light: Tensor, cut: Slices, first: Tensor, frames: Tensor, at: Located, eye: Tensor) -> Tensor:
-    """B (v, c), as `ptt.ops.slices.reflected`; light is read in place where it has four channels."""
-    kernels = library() if _fits(light, cut, first, frames, at, eye) else None
-    if kernels is None:
-        return slices.reflected(light, cut, first, frames, at, eye)
-    v = at.position.shape[1]
-    channels = light.shape[2]
-    light = (light if channels == CHANNELS else pad(light, (0, CHANNELS - channels))).contiguous()  # pad copies
-    tensors = {"light": light, "eye": eye.contiguous(), "first": first, "out": light.new_empty(v, CHANNELS)}
-    tensors |= {name: getattr(at, name) for name in ("position", "normal", "weights", "near")}
-    tensors |= {"frames": frames.contiguous(), "terms": cut.terms, "values": cut.values}
-    numbers = {"points": v, "width": light.shape[1], "kept": cut.terms.shape[1]}
-    numbers |= {"distant": eye.ndim == 2, "views": cut.views, "threads": torch.get_num_threads()}
-    pointers = {name: tensor.data_ptr() for name, tensor in tensors.items()}
-    kernels.ptt_reflected(ctypes.byref(_Reflect(**pointers, **numbers)))
-    return tensors["out"][:, :channels]
-
-
-def _fits(light: Tensor, cut: Slices, first: Tensor, frames: Tensor, at: Located, eye: Tensor) -> bool:
-    """Whether the kernel is for these arguments."""
-    v = at.position.shape[1]
-    t = cut.terms.shape[1]
-    kept = at.position, at.normal, at.weights
-    shapes = light.ndim == 3 and light.shape[2] <= CHANNELS and v % ALIGNED == 0 and t % ALIGNED == 0
-    shapes = shapes and eye.shape in ((3,), (3, v)) and first.shape == (4, v) and frames.shape == (len(light), 3, 3)
-    contiguous = all(x.is_contiguous() for x in (*kept, at.near, cut.terms, cut.values, first))
-    types = ready(at.near, first, types=(torch.int32,)) and ready(cut.terms, types=(torch.int16,))
-    return (
-        shapes
-        and contiguous
-        and types
-        and ready(light, eye, frames, *kept)
-        and ready(cut.values, types=(torch.float16,))
-    )
+def _light_conditions(coefficients: Tensor) -> Conditions:
+    yield of_type(torch.float32, coefficients), "light must be float32"
+    yield len(coefficients) <= CHANNELS, f"light must have at most {CHANNELS} channels"
 
 
 def _four(maps: Tensor) -> Tensor:
     """Maps (c, n, n) as (n * n, 4), zeros beyond c."""
     return pad(maps.flatten(1), (0, 0, 0, CHANNELS - len(maps))).T.contiguous()
+
+
+# The three operators: S between two transforms, S looked up anew, R
+
+
+def local_light(coefficients: Tensor, s: Resampling, m: int) -> Tensor:
+    """(f, M, c), as `ptt.ops.rotation.local_light`."""
+    result: Tensor = _local_light(coefficients, s.starts, s.reads, s.samples, m)
+    return result
+
+
+def _local_light_kernel(coefficients: Tensor, starts: Tensor, reads: Tensor, samples: int, m: int) -> Tensor:
+    frames = (len(starts) - 1) // m**2
+    out = coefficients.new_empty(frames, m * m, CHANNELS)
+    run(
+        "local_light",
+        source=_four(haar.synthesise(coefficients)),
+        starts=starts,
+        reads=reads,
+        out=out,
+        frames=frames,
+        m=m,
+        unit=1 / samples**2,
+    )
+    return out[..., : len(coefficients)].contiguous()
+
+
+def _local_light_conditions(coefficients: Tensor, starts: Tensor, reads: Tensor, samples: int, m: int) -> Conditions:
+    yield from _light_conditions(coefficients)
+    yield contiguous(starts, reads), "tables must be contiguous"
+
+
+_local_light = operator(
+    "local_light(Tensor coefficients, Tensor starts, Tensor reads, int samples, int m) -> Tensor",
+    plain=lambda coefficients, starts, reads, samples, m: rotation.local_light(
+        coefficients, Resampling(starts, reads, samples), m
+    ).contiguous(),
+    kernel=_local_light_kernel,
+    conditions=_local_light_conditions,
+    fake=lambda coefficients, starts, reads, samples, m: coefficients.new_empty(
+        (len(starts) - 1) // m**2, m * m, len(coefficients)
+    ),
+)
+
+
+def resampled_light(
+    coefficients: Tensor, frames: Tensor, target: HemiOctahedral, samples: int = rotation.SAMPLES
+) -> Tensor:
+    """(f, M, c), as `ptt.ops.rotation.resampled_light`."""
+    result: Tensor = _resampled_light(coefficients, frames, target.shape[-1], samples)
+    return result
+
+
+def _resampled_light_kernel(coefficients: Tensor, frames: Tensor, m: int, samples: int) -> Tensor:
+    directions = _sample_directions(m, samples)
+    out = coefficients.new_empty(len(frames), m * m, CHANNELS)
+    run(
+        "resampled_light",
+        source=_four(haar.synthesise(coefficients)),
+        frames=frames.contiguous(),
+        directions=directions,
+        out=out,
+        count=len(frames),
+        m=m,
+        each=samples**2,
+        padded=directions.shape[1],
+        n=coefficients.shape[-1],
+    )
+    return out[..., : len(coefficients)].contiguous()
+
+
+@cache
+def _sample_directions(m: int, samples: int) -> Tensor:
+    """Directions (3, padded) of the samples of every cell, padded to whole vectors."""
+    directions = HemiOctahedral(m).samples(samples).float()
+    return pad(directions.T, (0, -len(directions) % GROUP), value=1.0).contiguous()
+
+
+def _resampled_light_conditions(coefficients: Tensor, frames: Tensor, m: int, samples: int) -> Conditions:
+    yield from _light_conditions(coefficients)
+    yield of_type(torch.float32, frames), "frames must be float32"
+
+
+_resampled_light = operator(
+    "resampled_light(Tensor coefficients, Tensor frames, int m, int samples) -> Tensor",
+    plain=lambda coefficients, frames, m, samples: rotation.resampled_light(
+        coefficients, frames, HemiOctahedral(m), samples
+    ).contiguous(),
+    kernel=_resampled_light_kernel,
+    conditions=_resampled_light_conditions,
+    fake=lambda coefficients, frames, m, samples: coefficients.new_empty(len(frames), m * m, len(coefficients)),
+)
+
+
+def rotated_light(coefficients: Tensor, matrix: Quantised, m: int) -> Tensor:
+    """(f, M, c), as `ptt.ops.rotation.rotated_light` of the matrix's `to_csr`."""
+    result: Tensor = _rotated_light(coefficients, *matrix, m)
+    return result
+
+
+def _rotated_light_plain(
+    coefficients: Tensor, starts: Tensor, columns: Tensor, numbers: Tensor, unit: float, m: int
+) -> Tensor:
+    matrix = Quantised(starts, columns, numbers, unit)
+    csr = matrix.to_csr(coefficients[0].numel(), coefficients.dtype)
+    return rotation.rotated_light(coefficients, csr, m).contiguous()
+
+
+def _rotated_light_kernel(
+    coefficients: Tensor, starts: Tensor, columns: Tensor, numbers: Tensor, unit: float, m: int
+) -> Tensor:
+    rows = len(starts) - 1
+    out = coefficients.new_empty(rows // m**2, m * m, CHANNELS)
+    run(
+        "rotated_light",
+        source=_four(coefficients),
+        starts=starts,
+        columns=columns,
+        numbers=numbers,
+        out=out,
+        rows=rows,
+        unit=unit,
+        wide=columns.dtype == torch.int32,
+    )
+    return out[..., : len(coefficients)].contiguous()
+
+
+def _rotated_light_conditions(
+    coefficients: Tensor, starts: Tensor, columns: Tensor, numbers: Tensor, unit: float, m: int
+) -> Conditions:
+    yield from _light_conditions(coefficients)
+    yield contiguous(starts, columns, numbers), "tables must be contiguous"
+
+
+_rotated_light = operator(
+    "rotated_light(Tensor coefficients, Tensor starts, Tensor columns, Tensor numbers, float unit, int m) -> Tensor",
+    plain=_rotated_light_plain,
+    kernel=_rotated_light_kernel,
+    conditions=_rotated_light_conditions,
+    fake=lambda coefficients, starts, columns, numbers, unit, m: coefficients.new_empty(
+        (len(starts) - 1) // m**2, m * m, len(coefficients)
+    ),
+)
+
+# S without a transform, as a table
+
+
+def resampled_values(values: Tensor, s: Resampling, cells: int, storage: torch.dtype = torch.float16) -> Table:
+    """(f, c, cells), as `ptt.ops.rotation.resampled_values`."""
+    return Table(*_resampled_values(values, s.starts, s.reads, s.samples, cells, storage))
+
+
+def _resampled_values_kernel(
+    values: Tensor, starts: Tensor, reads: Tensor, samples: int, cells: int, storage: torch.dtype
+) -> tuple[Tensor, Tensor]:
+    frames = (len(starts) - 1) // cells
+    kept, scale = _resampled_values_fake(values, starts, reads, samples, cells, storage)
+    run(
+        "resampled_values",
+        source=pad(values, (0, 1)).contiguous(),
+        starts=starts,
+        reads=reads,
+        values=kept,
+        scale=scale,
+        frames=frames,
+        cells=cells,
+        unit=1 / samples**2,
+        largest=LARGEST.get(storage, 0.0),
+        type=STORED[storage],
+    )
+    return kept, scale
+
+
+def _resampled_values_conditions(
+    values: Tensor, starts: Tensor, reads: Tensor, samples: int, cells: int, storage: torch.dtype
+) -> Conditions:
+    yield of_type(torch.float32, values) and values.shape[1:] == (3,), "values must be (N, 3), float32"
+    yield contiguous(starts, reads), "tables must be contiguous"
+    yield storage in KEPT, "storage must be float32, float16 or uint8"
+
+
+def _resampled_values_plain(
+    values: Tensor, starts: Tensor, reads: Tensor, samples: int, cells: int, storage: torch.dtype
+) -> tuple[Tensor, ...]:
+    table = rotation.resampled_values(values, Resampling(starts, reads, samples), cells, storage)
+    return tuple(t.contiguous() for t in table)
+
+
+def _resampled_values_fake(
+    values: Tensor, starts: Tensor, reads: Tensor, samples: int, cells: int, storage: torch.dtype
+) -> tuple[Tensor, Tensor]:
+    frames = (len(starts) - 1) // cells
+    kept = values.dtype if values.dtype == torch.float64 else storage
+    return values.new_empty(frames, values.shape[1], cells, dtype=kept), values.new_empty(frames)
+
+
+_resampled_values = operator(
+    "resampled_values(Tensor values, Tensor starts, Tensor reads, int samples, int cells, ScalarType storage)"
+    " -> (Tensor, Tensor)",
+    plain=_resampled_values_plain,
+    kernel=_resampled_values_kernel,
+    conditions=_resampled_values_conditions,
+    fake=_resampled_values_fake,
+)
+
+# R, formed: first how many numbers each row keeps, then those numbers
+
+
+def quantised(s: Resampling, n: int, m: int, unit: float, threshold: int) -> Quantised:
+    """R in 16 bits, as `ptt.ops.rotation.quantised`, on all cores."""
+    given = (s.starts, s.reads, s.samples, n, m, unit, threshold)
+    begin = pad(_quantised_counts(*given).cumsum(0), (1, 0))
+    columns, numbers = _quantised_rows(*given, begin, int(begin[-1]))
+    return Quantised(begin, columns, numbers, unit)
+
+
+def _quantised_run(
+    starts: Tensor,
+    reads: Tensor,
+    samples: int,
+    n: int,
+    m: int,
+    unit: float,
+    threshold: int,
+    **out: Tensor | None,
+) -> None:
+    source = rotation.haar_matrix(n)
+    begins, parts, shares = _analysis(m)
+    run(
+        "quantised_rows",
+        starts=starts,
+        reads=reads,
+        at=source.col_indices(),
+        worth=source.values(),
+        begins=begins,
+        parts=parts,
+        shares=shares,
+        frames=(len(starts) - 1) // m**2,
+        m=m,
+        cells=n * n,
+        terms=source.values().numel() // n**2,
+        scale=1 / (unit * samples**2),
+        threshold=max(1, threshold),
+        wide=rotation.column_type(n) == torch.int32,
+        **out,
+    )
 
 
 @cache
@@ -183,8 +289,177 @@ def _analysis(m: int) -> tuple[Tensor, Tensor, Tensor]:
     return transform.crow_indices().long(), transform.col_indices().int(), transform.values()
 
 
-@cache
-def _directions(target: Grid, samples: int) -> Tensor:
-    """(3, padded): of the samples of every cell, in whole vectors."""
-    directions = target.samples(samples).float()
-    return pad(directions.T, (0, -len(directions) % ALIGNED), value=1.0).contiguous()
+def _quantised_plain(
+    starts: Tensor, reads: Tensor, samples: int, n: int, m: int, unit: float, threshold: int
+) -> Quantised:
+    return rotation.quantised(Resampling(starts, reads, samples), n, m, unit, threshold)
+
+
+def _counts_kernel(starts: Tensor, reads: Tensor, samples: int, n: int, m: int, unit: float, threshold: int) -> Tensor:
+    counts = starts.new_empty(len(starts) - 1)
+    _quantised_run(starts, reads, samples, n, m, unit, threshold, counts=counts, begin=None, columns=None, numbers=None)
+    return counts
+
+
+def _rows_kernel(
+    starts: Tensor,
+    reads: Tensor,
+    samples: int,
+    n: int,
+    m: int,
+    unit: float,
+    threshold: int,
+    begin: Tensor,
+    total: int,
+) -> tuple[Tensor, Tensor]:
+    columns, numbers = _rows_fake(starts, reads, samples, n, m, unit, threshold, begin, total)
+    if total:  # a kernel without `numbers` would count
+        _quantised_run(
+            starts, reads, samples, n, m, unit, threshold, counts=None, begin=begin, columns=columns, numbers=numbers
+        )
+    return columns, numbers
+
+
+def _rows_fake(
+    starts: Tensor,
+    reads: Tensor,
+    samples: int,
+    n: int,
+    m: int,
+    unit: float,
+    threshold: int,
+    begin: Tensor,
+    total: int,
+) -> tuple[Tensor, Tensor]:
+    columns = reads.new_empty(total, dtype=rotation.column_type(n))
+    return columns, reads.new_empty(total, dtype=torch.int16)
+
+
+def _quantised_conditions(starts: Tensor, reads: Tensor, *others: object) -> Conditions:
+    yield contiguous(starts, reads), "tables must be contiguous"
+
+
+_SIZES = "Tensor starts, Tensor reads, int samples, int n, int m, float unit, int threshold"
+_quantised_counts = operator(
+    f"quantised_counts({_SIZES}) -> Tensor",
+    plain=lambda *given: _quantised_plain(*given).starts.diff(),
+    kernel=_counts_kernel,
+    conditions=_quantised_conditions,
+    fake=lambda starts, *others: starts.new_empty(len(starts) - 1),
+)
+_quantised_rows = operator(
+    f"quantised_rows({_SIZES}, Tensor begin, SymInt total) -> (Tensor, Tensor)",
+    plain=lambda *given: tuple(_quantised_plain(*given[:7])[1:3]),
+    kernel=_rows_kernel,
+    conditions=_quantised_conditions,
+    fake=_rows_fake,
+)
+
+# What slices reflect
+
+
+def reflected(light: Tensor, cut: Slices, first: Tensor, frames: Tensor, at: Located, eye: Tensor) -> Tensor:
+    """B (v, c), as `ptt.ops.slices.reflected`; light is read in place where it has four channels."""
+    points = (at.position, at.normal, at.near, at.weights, at.twist)
+    result: Tensor = _reflected(light, cut.terms, cut.values, cut.views, first, frames, *points, eye)
+    return result
+
+
+def _reflected_plain(
+    light: Tensor,
+    terms: Tensor,
+    values: Tensor,
+    views: int,
+    first: Tensor,
+    frames: Tensor,
+    position: Tensor,
+    normal: Tensor,
+    near: Tensor,
+    weights: Tensor,
+    twist: Tensor,
+    eye: Tensor,
+) -> Tensor:
+    at = Located(position, normal, near, weights, twist)
+    return slices.reflected(light, Slices(terms, values, views), first, frames, at, eye).contiguous()
+
+
+def _reflected_conditions(
+    light: Tensor,
+    terms: Tensor,
+    values: Tensor,
+    views: int,
+    first: Tensor,
+    frames: Tensor,
+    position: Tensor,
+    normal: Tensor,
+    near: Tensor,
+    weights: Tensor,
+    twist: Tensor,
+    eye: Tensor,
+) -> Conditions:
+    v = position.shape[1]
+    yield of_type(torch.float32, light, eye, frames, position, normal, weights), "light and points must be float32"
+    yield of_type(torch.int32, near, first), "near and first must be int32"
+    yield of_type(torch.int16, terms), "terms must be int16"
+    yield of_type(torch.float16, values), "values must be float16"
+    kept = (position, normal, near, weights, terms, values, first)
+    yield contiguous(*kept), "points and slices must be contiguous"
+    yield light.ndim == 3 and light.shape[2] <= CHANNELS, f"light must be (f, x, c), c at most {CHANNELS}"
+    yield v % GROUP == 0, f"points must come in multiples of {GROUP}"
+    yield terms.shape[1] % GROUP == 0, f"terms must come in multiples of {GROUP}"
+    yield eye.shape in ((3,), (3, v)), "eye must be (3,) or (3, v)"
+    yield first.shape == (CORNERS, v), "first must be (4, v)"
+    yield frames.shape == (len(light), 3, 3), "frames must be (f, 3, 3)"
+
+
+def _reflected_kernel(
+    light: Tensor,
+    terms: Tensor,
+    values: Tensor,
+    views: int,
+    first: Tensor,
+    frames: Tensor,
+    position: Tensor,
+    normal: Tensor,
+    near: Tensor,
+    weights: Tensor,
+    twist: Tensor,
+    eye: Tensor,
+) -> Tensor:
+    v = position.shape[1]
+    channels = light.shape[2]
+    if channels < CHANNELS:
+        light = pad(light, (0, CHANNELS - channels))
+    out = light.new_empty(v, CHANNELS)
+    run(
+        "reflected",
+        position=position,
+        normal=normal,
+        frames=frames.contiguous(),
+        eye=eye.contiguous(),
+        weights=weights,
+        light=light.contiguous(),
+        near=near,
+        first=first,
+        terms=terms,
+        values=values,
+        out=out,
+        points=v,
+        width=light.shape[1],
+        kept=terms.shape[1],
+        distant=eye.ndim == 2,
+        views=views,
+    )
+    return out if channels == CHANNELS else out[:, :channels].contiguous()
+
+
+_reflected = operator(
+    "reflected(Tensor light, Tensor terms, Tensor values, int views, Tensor first, Tensor frames, Tensor position, "
+    "Tensor normal, Tensor near, Tensor weights, Tensor twist, Tensor eye) -> Tensor",
+    plain=_reflected_plain,
+    kernel=_reflected_kernel,
+    conditions=_reflected_conditions,
+    fake=lambda light, terms, values, views, first, frames, position, *others: light.new_empty(
+        position.shape[1], light.shape[2]
+    ),
+)

@@ -30,12 +30,12 @@ static inline Lanes widened(Wide x) {
 #endif
 // What a byte is loaded as, and what weights of bytes sum to, so that their sums are about 1 / 2.
 template <class V>
-constexpr float BYTE = 1.0f;
+constexpr float LOADED = 1.0f;
 template <class V>
 constexpr float BYTES = 1.0f / 512;
 #if PTT_HALVES
 template <>
-constexpr float BYTE<Wide> = 1.0f / (1 << 24);
+constexpr float LOADED<Wide> = 1.0f / (1 << 24);
 template <>
 constexpr float BYTES<Wide> = 1 << 15;
 #else
@@ -80,24 +80,7 @@ static inline void sums_of(const Lanes *x, float *out) {
 #endif
 }
 
-// As shading.py lays it out: light (f, 3, n), visibility (v, n), dull (n), glossy (o, n), and the scale of their rows;
-// rows and weights of light (p, l), of visibility (p, j), of the view (p, k); region, second (p), colour, out (p, 3);
-// of the coats, diffuse and specular (i, r, 3), start (i, r). kind: 0 for float32, 1 for 16 bits, 2 for 8 bits, in which
-// `dull` has 16.
-struct Shade {
-    const void *light, *dull, *glossy;
-    const uint8_t *visibility;
-    const float *light_scale, *glossy_scale;
-    const int32_t *light_rows, *seen_rows, *view_rows, *region, *start;
-    const float *light_weights, *seen_weights, *view_weights, *colour, *second, *diffuse, *specular;
-    float *out;
-    int64_t points, n, regions;
-    int32_t lights, vertices, coats, kind, threads;
-};
-
-constexpr int64_t CHUNK = 320;  // triangles whose products are summed in 16 bits
-constexpr int AHEAD = 8;        // points whose visibility is fetched
-constexpr int LINE = 64;        // bytes that memory gives at a time
+constexpr int AHEAD = 8;  // points whose visibility is fetched: 4 and 16 were no faster in a trial on the dragon
 
 static inline void fetch(const void *row, int64_t bytes) {
     for (int64_t i = 0; i < bytes; i += LINE) __builtin_prefetch((const char *)row + i);
@@ -116,7 +99,7 @@ struct Rows {
     // rows, weights (p, K); of points `at` from the first on; `start` is added to the rows
     void find(const void *from, const float *scale, int64_t size, const int32_t *rows, const float *weights, Ints at,
               Ints start) {
-        constexpr float unit = sizeof(T) == 1 ? BYTES<V> : 1.0f, loaded = sizeof(T) == 1 ? BYTE<V> : 1.0f;
+        constexpr float unit = sizeof(T) == 1 ? BYTES<V> : 1.0f, loaded = sizeof(T) == 1 ? LOADED<V> : 1.0f;
         table = (const T *)from, width = size, gain = all(TINY);
         Lanes w[K];
         for (int k = 0; k < K; ++k) {
@@ -160,7 +143,7 @@ template <class V, class D, int I, class Light, class Glossy, class Seen>
 static inline void sum_up(const D *dull, int64_t n, const Light &light, const Glossy *glossy, const Seen &seen, float *out) {
     constexpr int64_t WIDTH = sizeof(V) / sizeof(V{}[0]);
     Lanes total[I + 1][3] = {};
-    for (int64_t from = 0; from < n; from += CHUNK) {
+    for (int64_t from = 0; from < n; from += SUMMED_IN_HALVES) {
         V sum[I + 1][3] = {};
         auto add = [&](int64_t t, auto... left) {
             V x;
@@ -173,7 +156,7 @@ static inline void sum_up(const D *dull, int64_t n, const Light &light, const Gl
                 for (int i = 0; i <= I; ++i) sum[i][c] += factor[i] * lit;
             }
         };
-        const int64_t end = std::min(from + CHUNK, n);
+        const int64_t end = std::min<int64_t>(from + SUMMED_IN_HALVES, n);
         int64_t t = from;
         for (; t + WIDTH <= end; t += WIDTH) add(t);
         if (t < end) add(t, end - t);
@@ -194,7 +177,7 @@ static void shade(const Shade &g, int64_t p, int count, Ints at, Ints region) {
     seen.find(g.visibility, nullptr, g.n, g.seen_rows + J * p, g.seen_weights + J * p, at, Ints{});
     for (int i = 0; i < I; ++i)
         views[i].find(g.glossy, g.glossy_scale, g.n, g.view_rows + K * p, g.view_weights + K * p, at,
-                      (Ints)gather((const float *)g.start + i * g.regions, region));
+                      (Ints)gather((const float *)g.first + i * g.regions, region));
     float sums[LANES][I + 1][4];
     for (int l = 0; l < count; ++l) {
         Mix<V, T, L> light;
@@ -206,7 +189,7 @@ static void shade(const Shade &g, int64_t p, int count, Ints at, Ints region) {
             for (int j = 0; j < J; ++j) fetch(g.visibility + g.seen_rows[J * (p + l + AHEAD) + j] * g.n, g.n);
         sum_up<V, Dull, I>((const Dull *)g.dull, g.n, light, glossy, visible, sums[l][0]);
     }
-    const Lanes second = gather(g.second + p, at), unit = lights.gain * seen.gain * (20.0f / 255 / g.n);
+    const Lanes second = gather(g.second + p, at), unit = lights.gain * seen.gain * ((float)ROOTS / BYTE / g.n);
     const Lanes share[2] = {g.coats == 2 ? 1.0f - second : all(1), second};
     for (int c = 0; c < 3; ++c) {
         Lanes matt = {}, shining = {}, out;
@@ -229,33 +212,41 @@ static void shade_block(const Shade &g, int64_t p, int count) {
         for (int c = 0; c < 3; ++c)
             for (int l = 0; l < count; ++l) shines |= g.specular[3 * (i * g.regions + region[l]) + c] != 0;
     switch (shines ? g.coats : 0) {
-        case 0: return shade<V, T, L, K, J, 0>(g, p, count, at, region);
-        case 1: return shade<V, T, L, K, J, 1>(g, p, count, at, region);
         case 2: return shade<V, T, L, K, J, 2>(g, p, count, at, region);
+        case 1: return shade<V, T, L, K, J, 1>(g, p, count, at, region);
+        default: return shade<V, T, L, K, J, 0>(g, p, count, at, region);
     }
+}
+
+template <class V, class T, int L, int K, int J>
+static Status shade_all(const Shade &g) {
+    in_parallel((g.points + LANES - 1) / LANES, g.threads, [&](int64_t b) {
+        const int64_t p = b * LANES;
+        shade_block<V, T, L, K, J>(g, p, (int)std::min<int64_t>(LANES, g.points - p));
+    });
+    return DONE;
 }
 
 template <class V, class T>
-static inline void shade_typed(const Shade &g, int64_t p, int count) {
+static Status shade_typed(const Shade &g) {
     switch (8 * g.lights + g.vertices) {
-        case 8 * 1 + 1: return shade_block<V, T, 1, 1, 1>(g, p, count);
-        case 8 * 4 + 1: return shade_block<V, T, 4, 4, 1>(g, p, count);
-        case 8 * 4 + 3: return shade_block<V, T, 4, 4, 3>(g, p, count);
-        case 8 * 4 + 4: return shade_block<V, T, 4, 4, 4>(g, p, count);
-        case 8 * 8 + 1: return shade_block<V, T, 8, 4, 1>(g, p, count);
-        case 8 * 8 + 3: return shade_block<V, T, 8, 4, 3>(g, p, count);
-        case 8 * 8 + 4: return shade_block<V, T, 8, 4, 4>(g, p, count);
+        case 8 * 1 + 1: return shade_all<V, T, 1, 1, 1>(g);
+        case 8 * 4 + 1: return shade_all<V, T, 4, 4, 1>(g);
+        case 8 * 4 + 3: return shade_all<V, T, 4, 4, 3>(g);
+        case 8 * 4 + 4: return shade_all<V, T, 4, 4, 4>(g);
+        case 8 * 8 + 1: return shade_all<V, T, 8, 4, 1>(g);
+        case 8 * 8 + 3: return shade_all<V, T, 8, 4, 3>(g);
+        case 8 * 8 + 4: return shade_all<V, T, 8, 4, 4>(g);
+        default: return UNKNOWN;
     }
 }
 
-extern "C" void ptt_shade(const Shade *g) {
-    in_parallel((g->points + LANES - 1) / LANES, g->threads, [=](int64_t b) {
-        const int64_t p = b * LANES;
-        const int count = (int)std::min<int64_t>(LANES, g->points - p);
-        switch (g->kind) {
-            case 0: return shade_typed<Lanes, float>(*g, p, count);
-            case 1: return shade_typed<Wide, Half>(*g, p, count);
-            case 2: return shade_typed<Wide, uint8_t>(*g, p, count);
-        }
-    });
+extern "C" int32_t ptt_shade(const Shade *g) {
+    if (g->coats < 1 || g->coats > 2) return UNKNOWN;
+    switch (g->type) {
+        case FLOAT32: return shade_typed<Lanes, float>(*g);
+        case FLOAT16: return shade_typed<Wide, Half>(*g);
+        case UINT8: return shade_typed<Wide, uint8_t>(*g);
+        default: return UNKNOWN;
+    }
 }

@@ -1,79 +1,122 @@
-"""Shading by triple products, by a kernel in C++; by the plain function where it does not fit."""
+"""Shading by triple products as an operator; its plain function is `ptt.ops.shade.shade`.
+
+In the kernel, tables in 16 or 8 bits are multiplied in float16, where the processor can, and summed in float32.
+"""
 
 from __future__ import annotations
-
-import ctypes
-from ctypes import c_int32, c_int64, c_void_p
 
 import torch
 from torch import Tensor
 
 from ptt.ops import shade as plain
-from ptt.ops.native.arguments import KINDS, ready
-from ptt.ops.native.kernels import library
+from ptt.ops.native.arguments import STORED, of_type
+from ptt.ops.native.kernels import run
+from ptt.ops.native.operators import Conditions, operator
+from ptt.ops.near import Near
 from ptt.ops.shade import Coats, Functions, Points
+from ptt.ops.table import Table
 
 SEEN = {1: (1,), 4: (1, 3, 4), 8: (1, 3, 4)}
-VIEWS = {1: 1, 4: 4, 8: 4}  # rows that are interpolated, by those of light
-COATS = 1, 2
-
-POINTERS = (
-    *("light", "dull", "glossy", "visibility", "light_scale", "glossy_scale"),
-    *("light_rows", "seen_rows", "view_rows", "region", "start"),
-    *("light_weights", "seen_weights", "view_weights", "colour", "second", "diffuse", "specular", "out"),
+"""The numbers of rows of visibility that are interpolated, by the number of rows of light."""
+VIEWS = {1: 1, 4: 4, 8: 4}
+"""The number of directions of view, by the number of rows of light."""
+COATS = (1, 2)
+SCHEMA = (
+    "shade(Tensor light, Tensor light_scale, Tensor visibility, Tensor dull, Tensor glossy, Tensor glossy_scale, "
+    "Tensor diffuse, Tensor specular, Tensor first, Tensor light_rows, Tensor light_weights, Tensor seen_rows, "
+    "Tensor seen_weights, Tensor view_rows, Tensor view_weights, Tensor region, Tensor colour, Tensor second) -> Tensor"
 )
-LONGS = ("points", "n", "regions")
-INTS = ("lights", "vertices", "coats", "kind", "threads")
-
-
-class _Shade(ctypes.Structure):
-    _fields_ = (
-        *((name, c_void_p) for name in POINTERS),
-        *((name, c_int64) for name in LONGS),
-        *((name, c_int32) for name in INTS),
-    )
 
 
 def shade(functions: Functions, coats: Coats, at: Points) -> Tensor:
-    """B (p, c), as `ptt.ops.shade.shade`, for three channels.
-
-    Tables in 16 or 8 bits are multiplied in float16, where the processor can, and summed in float32.
-    """
-    kernels = library() if _fits(functions, coats, at) else None
-    if kernels is None:
-        return plain.shade(functions, coats, at)
+    """B (p, c), as `ptt.ops.shade.shade`."""
     light, visibility, dull, glossy = functions
-    kind = KINDS[light.values.dtype]
-    tensors = {"light": light.values, "light_scale": light.scale, "glossy": glossy.values, "glossy_scale": glossy.scale}
-    tensors |= {"visibility": visibility, "dull": dull.half() if kind else dull, "out": torch.empty_like(at.colour)}
-    tensors |= {f"{name}_rows": near.rows for name, near in zip(("light", "seen", "view"), at[:3], strict=True)}
-    tensors |= {f"{name}_weights": near.weights for name, near in zip(("light", "seen", "view"), at[:3], strict=True)}
-    tensors |= {"region": at.region, "colour": at.colour, "second": at.second, "start": coats.first}
-    tensors |= {"diffuse": coats.diffuse, "specular": coats.specular}
-    tensors = {name: tensor.contiguous() for name, tensor in tensors.items()}
-    sizes = {"points": len(at.region), "n": len(dull), "regions": coats.first.shape[1], "kind": kind}
-    sizes |= {"lights": at.light.rows.shape[1], "vertices": at.seen.rows.shape[1], "coats": len(coats.first)}
-    pointers = {name: tensor.data_ptr() for name, tensor in tensors.items()}
-    kernels.ptt_shade(ctypes.byref(_Shade(**pointers, **sizes, threads=torch.get_num_threads())))
-    return tensors["out"]
+    tables = (*light, visibility, dull, *glossy)
+    result: Tensor = _shade(*tables, *coats, *at.light, *at.seen, *at.view, at.region, at.colour, at.second)
+    return result
 
 
-def _fits(functions: Functions, coats: Coats, at: Points) -> bool:
-    """Whether the kernel is for these arguments."""
-    (light, by), visibility, dull, (glossy, of) = functions
+def _packed(
+    light: Tensor,
+    light_scale: Tensor,
+    visibility: Tensor,
+    dull: Tensor,
+    glossy: Tensor,
+    glossy_scale: Tensor,
+    diffuse: Tensor,
+    specular: Tensor,
+    first: Tensor,
+    light_rows: Tensor,
+    light_weights: Tensor,
+    seen_rows: Tensor,
+    seen_weights: Tensor,
+    view_rows: Tensor,
+    view_weights: Tensor,
+    region: Tensor,
+    colour: Tensor,
+    second: Tensor,
+) -> tuple[Functions, Coats, Points]:
+    """The arguments of the schema as the plain function takes them."""
+    functions = Functions(Table(light, light_scale), visibility, dull, Table(glossy, glossy_scale))
+    near = (Near(light_rows, light_weights), Near(seen_rows, seen_weights), Near(view_rows, view_weights))
+    return functions, Coats(diffuse, specular, first), Points(*near, region, colour, second)
+
+
+def _conditions(*arguments: Tensor) -> Conditions:
+    functions, coats, at = _packed(*arguments)
+    light, visibility, dull, glossy = functions
     n = len(dull)
     p = len(at.region)
-    (i, r) = coats.first.shape
     k = at.light.rows.shape[1]
     j = at.seen.rows.shape[1]
-    shapes = light.shape[1:] == (3, n) and visibility.shape[1:] == (n,) == glossy.shape[1:]
-    shapes = shapes and by.shape == light.shape[:1] and of.shape == glossy.shape[:1]
-    shapes = shapes and k in SEEN and j in SEEN[k] and i in COATS and at.view.rows.shape[1] == VIEWS[k]
-    shapes = shapes and all(near.rows.shape == near.weights.shape == (p, near.rows.shape[1]) for near in at[:3])
-    shapes = shapes and at.region.shape == at.second.shape == (p,) and at.colour.shape == (p, 3)
-    shapes = shapes and coats.diffuse.shape == coats.specular.shape == (i, r, 3)
-    types = light.dtype == glossy.dtype and ready(light, glossy, types=tuple(KINDS))
-    types = types and ready(visibility, types=(torch.uint8,))
-    types = types and ready(*(near.rows for near in at[:3]), at.region, coats.first, types=(torch.int32,))
-    reals = by, of, dull, *(near.weights for near in at[:3]), at.colour, at.second, coats.diffuse, coats.specular
-    return shapes and types and ready(*reals)
+    i, r = coats.first.shape
+    yield light.values.dtype == glossy.values.dtype, "light and BRDFs must be of one type"
+    yield light.values.dtype in STORED and light.values.dtype != torch.bfloat16, "tables must have 32, 16 or 8 bits"
+    yield of_type(torch.uint8, visibility), "visibility must be uint8"
+    yield of_type(torch.int32, *(near.rows for near in at[:3]), at.region, coats.first), "rows must be int32"
+    yield of_type(torch.float32, light.scale, dull, glossy.scale), "scales must be float32"
+    yield of_type(torch.float32, *(near.weights for near in at[:3])), "weights must be float32"
+    yield of_type(torch.float32, at.colour, at.second, coats.diffuse, coats.specular), "coats must be float32"
+    yield light.values.shape[1:] == (3, n), "light must be (f, 3, n)"
+    yield visibility.shape[1:] == (n,) == glossy.values.shape[1:], "visibility and BRDFs must be (rows, n)"
+    yield light.scale.shape == light.values.shape[:1], "a row of light must have one scale"
+    yield glossy.scale.shape == glossy.values.shape[:1], "a row of BRDFs must have one scale"
+    yield k in SEEN and j in SEEN[k], f"there are kernels for so many rows of visibility by rows of light: {SEEN}"
+    yield at.view.rows.shape[1] == VIEWS[k], f"there are kernels for so many views by rows of light: {VIEWS}"
+    yield i in COATS, "a region must have one coat or two"
+    for near in at[:3]:
+        yield near.rows.shape == near.weights.shape == (p, near.rows.shape[1]), "rows and weights must be (p, k)"
+    yield at.second.shape == (p,) and at.colour.shape == (p, 3), "second must be (p,) and colour (p, 3)"
+    yield coats.diffuse.shape == coats.specular.shape == (i, r, 3), "coats must be (i, r, 3)"
+
+
+def _kernel(*arguments: Tensor) -> Tensor:
+    names = [argument.name for argument in torch.ops.ptt.shade.default._schema.arguments]
+    tensors = {name: tensor.contiguous() for name, tensor in zip(names, arguments, strict=True)}
+    dtype = tensors["light"].dtype
+    n = len(tensors["dull"])
+    if dtype != torch.float32:
+        tensors["dull"] = tensors["dull"].half()
+    out = torch.empty_like(tensors["colour"])
+    run(
+        "shade",
+        **tensors,
+        out=out,
+        points=len(out),
+        n=n,
+        regions=tensors["first"].shape[1],
+        lights=tensors["light_rows"].shape[1],
+        vertices=tensors["seen_rows"].shape[1],
+        coats=len(tensors["first"]),
+        type=STORED[dtype],
+    )
+    return out
+
+
+_shade = operator(
+    SCHEMA,
+    plain=lambda *arguments: plain.shade(*_packed(*arguments)).contiguous(),
+    kernel=_kernel,
+    conditions=_conditions,
+    fake=lambda *arguments: arguments[16].new_empty(arguments[16].shape),
+)

@@ -4,7 +4,7 @@
 
 #include <vector>
 
-// As triple.py lays them out: indices, values (p, count) of each function, of n coefficients, 20 of them roots.
+// A function of every point: indices, values (p, count), of n coefficients, ROOTS of them roots.
 struct Sparse {
     const int32_t *indices;
     const float *values;
@@ -19,10 +19,10 @@ struct Scratch {
 
     explicit Scratch(int64_t n) : value(3 * n), active(n / 3 + 1) {}
 
-    // The triangle, counted through all levels, whose wavelet a coefficient is: three each, after the 20 roots.
+    // The triangle, counted through all levels, whose wavelet a coefficient is: three each, after the roots.
     static int32_t node(int32_t index, int32_t &level_start) {
         level_start = 0;
-        int32_t size = 20, first = 20;
+        int32_t size = ROOTS, first = ROOTS;
         while (index >= 4 * first) level_start += size, size *= 4, first *= 4;
         return level_start + (index - first) / 3;
     }
@@ -31,12 +31,12 @@ struct Scratch {
         for (int64_t k = s.count * p; k < s.count * (p + 1); ++k) {
             const int32_t index = s.indices[k];
             value[3 * index + function] = s.values[k];
-            if (index < 20) continue;
+            if (index < ROOTS) continue;
             int32_t start, at = node(index, start), i = at - start;
             for (; !active[at]; i /= 4) {
                 active[at] = 1, nodes.push_back(at);
                 if (start == 0) break;
-                start = (start - 20) / 4, at = start + i / 4;
+                start = (start - ROOTS) / 4, at = start + i / 4;
             }
         }
     }
@@ -72,18 +72,24 @@ static float below(const Scratch &s, int32_t start, int32_t size, int32_t i, con
     return sum;
 }
 
-extern "C" void ptt_adaptive(const Sparse *functions, float *out, int64_t points, int64_t n, int threads) {
-    in_parallel((points + 63) / 64, threads, [=](int64_t b) {
-        Scratch s(n);
-        for (int64_t p = 64 * b; p < std::min(points, 64 * (b + 1)); ++p) {
+constexpr int64_t BLOCK = 64;  // points of a thread's turn, which share its scratch
+
+extern "C" int32_t ptt_adaptive(const Adaptive *g) {
+    const Sparse functions[3] = {{g->indices_f, g->values_f, g->count_f},
+                                 {g->indices_g, g->values_g, g->count_g},
+                                 {g->indices_h, g->values_h, g->count_h}};
+    in_parallel((g->points + BLOCK - 1) / BLOCK, g->threads, [&](int64_t b) {
+        Scratch s(g->n);
+        for (int64_t p = BLOCK * b; p < std::min(g->points, BLOCK * (b + 1)); ++p) {
             for (int f = 0; f < 3; ++f) s.put(functions[f], p, f);
             float sum = 0;
-            for (int32_t r = 0; r < 20; ++r) {
+            for (int32_t r = 0; r < ROOTS; ++r) {
                 const float *mean = s.value.data() + 3 * r;
-                sum += mean[0] * mean[1] * mean[2] + below(s, 0, 20, r, mean, 1.0f);
+                sum += mean[0] * mean[1] * mean[2] + below(s, 0, ROOTS, r, mean, 1.0f);
             }
-            out[p] = sum;
+            g->out[p] = sum;
             s.clear(functions, p);
         }
     });
+    return DONE;
 }

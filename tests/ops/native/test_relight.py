@@ -17,7 +17,7 @@ from ptt.light.prefiltered import samples
 from ptt.ops import native, relight
 from ptt.ops import view as plain
 from ptt.ops.native import kernels
-from ptt.ops.native.relight import STORED
+from ptt.ops.native.relight import TRANSFER
 from ptt.ops.relight import Arriving, Responses, Sent
 from ptt.ops.sphere import Cube, turn
 from ptt.ops.view import Gloss, Points, Seen, light_about
@@ -193,7 +193,7 @@ def test_lighting_agrees(alone: None, n: int) -> None:
     close(native.lighting(*arguments), PLAIN[0](*arguments), 1e-5)
 
 
-@pytest.mark.parametrize("stored", STORED)
+@pytest.mark.parametrize("stored", TRANSFER)
 @pytest.mark.parametrize(("k", "rows", "x"), [(1, 1, 1), (3, 7, 37), (2, 20, 128), (2, 5, 300), (0, 4, 8), (2, 0, 8)])
 def test_light_eigen_agrees(alone: None, stored: torch.dtype, k: int, rows: int, x: int) -> None:
     g = torch.Generator().manual_seed(x)

@@ -9,7 +9,6 @@ from torch import Tensor
 from ptt.materials.shapes import BlinnPhong, Ward
 from ptt.ops import haar, native, rotation, slices
 from ptt.ops.geodesic import Geodesic
-from ptt.ops.native import rotation as kernels
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
 from ptt.ops.slices import Located, Slices
 
@@ -134,4 +133,6 @@ def test_what_kernels_do_not_take_is_computed_plainly() -> None:
     native.local_light(light, s, 2).sum().backward()
     assert light.grad is not None and bool((light.grad != 0).any())
     args = view(16)
-    assert not kernels._fits(args[0].double(), *args[1:], torch.ones(3).double())
+    with native.refusals() as found:
+        native.reflected(torch.rand(16, 16, 5), *args[1:], torch.ones(3))
+    assert found == {"reflected": "light must be (f, x, c), c at most 4"}

@@ -1,0 +1,46 @@
+"""The numbers that plain functions and kernels in C++ share; the build writes them into the header `constants.h`.
+
+A number that comes from a trial says which; the others follow from a format or from a paper.
+"""
+
+from __future__ import annotations
+
+HARMONICS = 16
+"""Functions of the hemisphere in which indirect light arrives: those of order 4 (Sun et al. 2007, section 3.1)."""
+
+MOST_LOBES = 4
+"""Lobes of a BRDF tensor: a word of fractional visibility holds a byte for each."""
+
+TILE = 4
+"""Cells along the edge of a tile of fractional visibility: 16 words of 4 bytes fill a cache line of 64."""
+
+GROUP = 16
+"""Points, cells and terms are padded to multiples of it: floats in the widest vector, that of AVX-512."""
+
+WIDTH = 64
+"""Points in a block of `expand` come in multiples of it: four vectors of 16, the tile whose sums stay in registers."""
+
+ROOTS = 20
+"""Triangles of an icosahedron, roots of the geodesic trees (Ma et al. 2006, section 3.1)."""
+
+CORNERS = 4
+"""Cells around a point of a bilinear lookup."""
+
+CHANNELS = 4
+"""Channels of a local light: three colours and a zero, which aligns them to 16 bytes."""
+
+BYTE = 255
+"""The largest number of a byte: visibility of 1."""
+
+SUMMED_IN_HALVES = 320
+"""Triangles whose products are summed in float16 before the sum is widened to float32. A trial at 1280 triangles:
+longer runs are no faster; each of ten roundings errs by 2^-11 at most."""
+
+LARGEST_HALF = 6e4
+"""The largest number that `expand` writes to float16, which ends at 65,504."""
+
+TINY = 1e-30
+"""What a divisor is at least: far below any light, far above the smallest float32."""
+
+LINE = 64
+"""Bytes that memory gives at a time, a cache line."""

@@ -1,0 +1,112 @@
+"""Kernels as torch operators `torch.ops.ptt.*`, which autograd, torch.compile and fake tensors know.
+
+The plain function is the operator's implementation on every device and its derivative; the kernel answers on the CPU
+where its conditions hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+
+from ptt.ops.native.kernels import available
+
+LIBRARY = torch.library.Library("ptt", "DEF")
+Conditions = Iterable[tuple[bool, str]]
+"""What must hold for a kernel, and the reason to give where it does not; one may rely on those before it."""
+
+DEFINED: dict[str, Callable[..., Any]] = {}
+"""The plain function of each operator, by name."""
+
+_asked: list[dict[str, str]] = []
+
+
+def operator(
+    schema: str,
+    *,
+    plain: Callable[..., Any],
+    kernel: Callable[..., Any],
+    conditions: Callable[..., Conditions],
+    fake: Callable[..., Any],
+) -> Callable[..., Any]:
+    """Define `torch.ops.ptt.<name>`; plain, kernel, conditions and fake take what the schema says.
+
+    fake: empty results of the right shapes and types, of tensors without data
+    """
+    name = schema.split("(", 1)[0]
+    DEFINED[name] = plain
+    LIBRARY.define(schema, tags=(torch.Tag.pt2_compliant_tag,))
+    defined = getattr(torch.ops.ptt, name).default
+
+    def on_cpu(*arguments: Any) -> Any:
+        reason = refusal(conditions(*arguments))
+        if reason is None:
+            return kernel(*arguments)
+        _note(name, reason)
+        return plain(*arguments)
+
+    def recorded(*arguments: Any) -> Any:
+        if _differentiated(arguments):
+            _note(name, "derivatives are asked for")
+            return plain(*arguments)
+        with torch._C._AutoDispatchBelowAutograd():
+            return defined(*arguments)
+
+    LIBRARY.impl(name, plain, "CompositeExplicitAutograd")
+    LIBRARY.impl(name, on_cpu, "CPU")
+    LIBRARY.impl(name, recorded, "Autograd")
+    torch.library.register_fake(f"ptt::{name}", fake, lib=LIBRARY)
+    return defined  # type: ignore[no-any-return]
+
+
+def refusal(conditions: Conditions) -> str | None:
+    """Why a kernel is not for its arguments: the first condition that does not hold; None where it is."""
+    for holds, reason in conditions:
+        if not holds:
+            return reason
+    return None if available() else "there is no C++ compiler"
+
+
+@contextmanager
+def refusals() -> Iterator[dict[str, str]]:
+    """Collect why kernels are not used, by operator, while the block runs.
+
+    Example:
+        >>> with refusals() as found:
+        ...     radiance = relighter(light, materials, camera)
+        >>> found
+        {}
+    """
+    found: dict[str, str] = {}
+    _asked.append(found)
+    try:
+        yield found
+    finally:
+        _asked.remove(found)
+
+
+def _note(name: str, reason: str) -> None:
+    for found in _asked:
+        found[name] = reason
+
+
+def _differentiated(arguments: Iterable[Any]) -> bool:
+    """Tell whether a derivative of the arguments, tensors and lists of them, is recorded."""
+    if forward_ad._current_level >= 0:
+        return True
+    if not torch.is_grad_enabled():
+        return False
+    for argument in arguments:
+        if isinstance(argument, Tensor):
+            if argument.requires_grad:
+                return True
+        elif isinstance(argument, list):
+            for each in argument:
+                if isinstance(each, Tensor) and each.requires_grad:
+                    return True
+    return False

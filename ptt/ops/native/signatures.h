@@ -1,0 +1,190 @@
+// What each kernel takes: the one table of signatures. `kernels.py` reads the structures from here and makes those of
+// ctypes of them, so that no side mirrors the other by hand. A kernel `ptt_name` takes one structure, `Name`, and returns
+// DONE, or UNKNOWN where it has no case for what it was given. Shapes are those of the plain function of its name.
+
+#pragma once
+#include <cstdint>
+
+#include "constants.h"
+
+// The types of torch, by the numbers that arguments.py gives them.
+struct Half {
+    uint16_t bits;
+};
+struct BFloat {
+    uint16_t bits;
+};
+enum Type { FLOAT32 = 0, FLOAT16 = 1, UINT8 = 2, BFLOAT16 = 3 };
+enum Status { DONE = 0, UNKNOWN = 1 };
+
+// ptt/ops/relight.py
+
+struct Lighting {
+    const float *fine, *turn, *directions, *shares;  // (side * side, 4), (3, 3), (4, 3, cells), (4, cells)
+    float *out;                                      // (3, squares, n, n)
+    int64_t side, squares, n;                        // squares * n * n is a multiple of GROUP
+    int32_t threads;
+};
+
+struct LightEigen {
+    const float *lighting;   // three channels of a cluster begin `channel` apart, those of the next `cluster` further
+    const int64_t *columns;  // (clusters, rows): which of the lighting, or null for all in order
+    const void *transfer;    // (clusters, rows, width) of a Type
+    float *out;              // (clusters, 3, width)
+    int64_t cluster, channel, rows, width, clusters;
+    int32_t type, threads;
+};
+
+struct Eigen {
+    const float *direct, *one, *two;        // U0 (k, 3, e, i), U1 (k, 3, q, e, HARMONICS), U2 (k, 3, p, e)
+    const float *h, *pairs;                 // H (3, q), and its products (3, p)
+    const float *from_direct, *from_light;  // what each of i, and of HARMONICS, adds to a row: (3, .., padded)
+    float *out;                             // (k, 3, e, width)
+    int64_t clusters, eigen, factors, slots, again, width, padded;
+    int32_t threads;
+};
+
+struct Expand {
+    const float *eigen, *weights;  // (k, channels, factors, x), (blocks, factors, width)
+    const int64_t *cluster;        // (blocks)
+    Half *out;                     // (blocks * width / GROUP, channels, x, GROUP)
+    float *unit;                   // of each group
+    int64_t blocks, channels, factors, x, width;
+    int32_t threads;
+};
+
+// ptt/ops/view.py
+
+struct View {
+    const float *position, *frame, *colour, *eye, *outgoing;
+    const Half *values;
+    const float *unit, *rho, *axes, *specular, *maps, *turn, *blurs;
+    const int32_t *cuts;
+    const int64_t *which, *place;
+    float *line, *out;                     // scratch (blocks * width, 3), and (points, 3)
+    int64_t blocks, width, rows, points;   // rows: of values, 1 + o + s
+    int32_t distant, factors, harmonics, lobes, tilts, disk, cells, map;  // disk, cells, map: sides of grids
+    int32_t threads;
+};
+
+// ptt/ops/rotation.py
+
+struct LocalLight {
+    const float *source;    // (N, CHANNELS)
+    const int64_t *starts;  // (frames * m * m + 1)
+    const int32_t *reads;   // cell * 256 + count; the counts of a cell sum to 1 / unit
+    float *out;             // (frames, m * m, CHANNELS)
+    int64_t frames, m;
+    float unit;
+    int32_t threads;
+};
+
+struct ResampledLight {
+    const float *source, *frames, *directions;  // (n * n, CHANNELS), (f, 3, 3), (3, padded)
+    float *out;
+    int64_t count, m, each, padded, n;  // each: samples of a cell
+    int32_t threads;
+};
+
+struct ResampledValues {
+    const float *source;
+    const int64_t *starts;
+    const int32_t *reads;
+    void *values;  // (frames, 3, cells) of a Type
+    float *scale;  // (frames)
+    int64_t frames, cells;
+    float unit, largest;  // largest: of a row as it is stored, 0 for as it is
+    int32_t type, threads;
+};
+
+struct QuantisedRows {
+    const int64_t *starts;  // of S (frames * m * m + 1)
+    const int32_t *reads;
+    const int32_t *at;  // basis functions of the source that differ from zero in each cell (cells, terms), their values
+    const double *worth;
+    const int64_t *begins;  // the local maps' analysis by rows (m * m + 1), its cells and shares
+    const int32_t *parts;
+    const double *shares;
+    int64_t *counts;        // out: the numbers of each row, where `numbers` is null
+    const int64_t *begin;   // where each row begins, where it is not
+    void *columns;
+    int16_t *numbers;
+    int64_t frames, m, cells, terms;
+    double scale;  // of a count, to units
+    int32_t threshold, wide, threads;
+};
+
+struct RotatedLight {
+    const float *source;    // (N, CHANNELS)
+    const int64_t *starts;  // (rows + 1)
+    const void *columns;    // int32 where wide, else int16
+    const int16_t *numbers;
+    float *out;
+    int64_t rows;
+    float unit;
+    int32_t wide, threads;
+};
+
+// ptt/ops/slices.py
+
+struct Reflected {
+    const float *position, *normal, *frames, *eye, *weights, *light;
+    const int32_t *near, *first;
+    const int16_t *terms;
+    const Half *values;
+    float *out;                    // (points, CHANNELS)
+    int64_t points, width, kept;   // width: cells of a local light; points and kept are multiples of GROUP
+    int32_t distant, views, threads;
+};
+
+// ptt/ops/shade.py
+
+struct Shade {
+    const void *light, *dull, *glossy;  // of a Type; `dull` has 16 bits where light has fewer than 32
+    const uint8_t *visibility;
+    const float *light_scale, *glossy_scale;
+    const int32_t *light_rows, *seen_rows, *view_rows, *region, *first;
+    const float *light_weights, *seen_weights, *view_weights, *colour, *second, *diffuse, *specular;
+    float *out;
+    int64_t points, n, regions;
+    int32_t lights, vertices, coats, type, threads;  // lights, vertices: rows that are mixed
+};
+
+// ptt/ops/near.py
+
+struct NearFrames {
+    const float *frames, *sampled;
+    int32_t *rows;
+    float *weights;
+    int64_t points, n, twists;
+    int32_t between, threads;
+};
+
+struct NearViews {
+    const float *frames, *positions, *eye;  // positions: null where `eye` holds directions (points, 3)
+    int32_t *rows;
+    float *weights;
+    int64_t points, views;
+    int32_t threads;
+};
+
+struct NearTexels {
+    const float *corner_uv;
+    const int64_t *triangle;
+    const float *barycentric;
+    const int32_t *in_use;
+    int32_t *rows;
+    float *weights;
+    int64_t points, side;
+    int32_t threads;
+};
+
+// ptt/ops/triple.py
+
+struct Adaptive {
+    const int32_t *indices_f, *indices_g, *indices_h;
+    const float *values_f, *values_g, *values_h;
+    float *out;
+    int64_t count_f, count_g, count_h, points, n;
+    int32_t threads;
+};
