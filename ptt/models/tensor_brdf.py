@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -18,6 +18,7 @@ from ptt.ops.sphere import Disk
 RESOLUTION = 32  # texels across the disk; 48 lower the error of exponent 20 from 7.9 to 7.7 %
 TRIAL = 16  # texels across the disk on which the number of lobes is decided
 IN_MEMORY = 2e9  # bytes of a dense tensor; a larger one is decomposed slice by slice
+SPANNED = 1e-4  # of a sample's norm, that other incident factors may leave out
 ENOUGH = 1.05, 1e-3  # the fewest lobes whose error is within a twentieth of the least, or below 0.1 %, are chosen
 
 
@@ -81,8 +82,8 @@ class TensorBRDF(nn.Module):
             space,
             core=fit.core.contiguous(),
             u_h=u_h * torch.tensor([samples.norms[h] for h in range(len(samples))])[:, None],
-            u_o=samples.table(u_o.T / samples.weights),
-            u_i=samples.table(u_i.T / samples.weights),
+            u_o=samples.texels.table(u_o),
+            u_i=samples.texels.table(u_i),
             peaks=peaks,
             axes=axes,
             error=missed,
@@ -105,9 +106,8 @@ class TensorBRDF(nn.Module):
         slice, the best there is for these factors. Look at `error[-1]`: factors of smooth shapes show no sharp one.
         """
         space = self.space.with_brdf(name, brdf)
-        resolution = self.u_i.shape[-1]
-        sampled = Remainders(space.samples[-1:], self.angles, resolution)
-        u_o, u_i = ((table.flatten(1)[:, sampled.inside] * sampled.weights).T for table in (self.u_o, self.u_i))
+        sampled = Remainders(space.samples[-1:], self.angles, self.u_i.shape[-1])
+        _, u_o, u_i = self._tucker().factors
         values = sampled[0].to(self.core)
         matrix = u_o.T @ values @ u_i
         missed = (values - u_o @ matrix @ u_i.T).norm()
@@ -125,6 +125,73 @@ class TensorBRDF(nn.Module):
             "error": torch.cat((self.error, missed[None])),
         }
         return TensorBRDF(space, **parts)
+
+    @property
+    def texels(self) -> Texels:
+        """Those that the outgoing and the incident axis of `to_tensorly` run over."""
+        return Texels.of(self.u_i.shape[-1]).to(self.core)
+
+    def to_tensorly(self) -> Any:
+        """tensorly's TuckerTensor (h, t, t), without the lobes, over samples, outgoing and incident texels.
+
+        A value is f [1/sr] times the roots of the projected solid angles of both texels, so that norms are those of
+        `error`, in L2 by projected solid angle. The factors of both directions are orthonormal.
+
+        - tucker_to_tensor(to_tensorly()) / roots / roots[:, None] is f of the samples at `texels.directions`
+        - with_tensorly(to_tensorly()) is the same tensor, to the rounding of its type
+        """
+        return self._tucker().to_tensorly()
+
+    def with_tensorly(self, tucker_tensor: Any) -> TensorBRDF:
+        """The same space and lobes with the tensor of a TuckerTensor (h, t, t), at any ranks.
+
+        `error` becomes a bound: what it was and what the tensor is changed by, loose for samples that are mostly lobes.
+        `TransferModel.with_parts` puts the result into a model.
+
+        Raises:
+            ValueError: another shape, or values that are not finite.
+        """
+        texels = self.texels
+        shape = len(self.space.samples), len(texels.inside), len(texels.inside)
+        fit = tucker.Tucker.checked(tucker_tensor, shape, self.core, "brdf").orthonormal((1, 2))
+        u_h, u_o, u_i = fit.factors
+        return self._with(core=fit.core.contiguous(), u_h=u_h, u_o=texels.table(u_o), u_i=texels.table(u_i))
+
+    def over(self, other: TensorBRDF) -> TensorBRDF:
+        """The same tensor by the incident factors of another, with which transfer was compressed.
+
+        Raises:
+            ValueError: they leave out more than `SPANNED` of a sample.
+        """
+        if torch.equal(self.u_i, other.u_i):
+            return self
+        if self.u_i.shape[1:] != other.u_i.shape[1:]:
+            raise ValueError(f"brdf must have {tuple(other.u_i.shape[1:])} texels, got {tuple(self.u_i.shape[1:])}")
+        u_i = self.texels.factor(self.u_i)
+        others = self.texels.factor(other.u_i)
+        turn = others.T @ u_i
+        matrices = torch.einsum("sh,hoi->soi", self.u_h, self.core)
+        missed = _shares(matrices @ (u_i - others @ turn).T, matrices)
+        if bool((missed > SPANNED).any()):
+            raise ValueError(
+                f"brdf must have incident factors that those of the model combine to, up to {SPANNED:g} of a sample, "
+                f"got {float(missed.max()):.2g}: compress the transfer with it"
+            )
+        return self._with(core=self.core @ turn.T, u_i=other.u_i)
+
+    def _tucker(self) -> tucker.Tucker:
+        """The tensor (h, t, t) on the texels, orthonormal in both directions."""
+        texels = self.texels
+        return tucker.Tucker(self.core, (self.u_h, texels.factor(self.u_o), texels.factor(self.u_i)))
+
+    def _with(self, **parts: Tensor) -> TensorBRDF:
+        """The same with other parts of the tensor; what they change adds to the error."""
+        made = TensorBRDF(self.space, **{**dict(self.named_buffers()), **parts})
+        with torch.no_grad():
+            pairs = zip(_slices(self._tucker()), _slices(made._tucker()), strict=True)
+            changed = torch.cat([_shares(new - own, own) for own, new in pairs])
+            made.error = self.error + (1 + self.error) * changed
+        return made
 
     def matrix(self, shape: Shape | Tensor) -> Tensor:
         """The core (o, i) of a shape: f(wi, wo) = outgoing(wo) . matrix . incident(wi), without its lobes.
@@ -192,23 +259,63 @@ class TensorBRDF(nn.Module):
         return (value * ((wi[:, 2] > 0) & (wo[:, 2] > 0))).reshape(batch)
 
 
+class Texels(NamedTuple):
+    """Those texels of a disk grid that lie at least half inside of the unit circle, t of them; the others take no part.
+
+    inside (t,) int64: which of the grid's
+    nearest (n * n,) int64: of every texel of the grid, the nearest one of those, 0..t-1
+    directions (t, 3): unit vectors
+    roots (t,): of their projected solid angles [sr]
+    """
+
+    inside: Tensor
+    nearest: Tensor
+    directions: Tensor
+    roots: Tensor
+
+    @classmethod
+    def of(cls, resolution: int) -> Texels:
+        """Those of a grid of so many texels across."""
+        grid = Disk(resolution)
+        filled = grid.nearest_inside()
+        inside = filled.unique()
+        directions = grid.directions().reshape(-1, 3)[inside].float()
+        roots = grid.projected_solid_angles().flatten()[inside].sqrt().float()
+        return cls(inside, torch.searchsorted(inside, filled), directions, roots)
+
+    def to(self, like: Tensor) -> Texels:
+        """The same in the type and on the device of a tensor."""
+        inside = self.inside.to(like.device)
+        nearest = self.nearest.to(like.device)
+        return Texels(inside, nearest, self.directions.to(like), self.roots.to(like))
+
+    def table(self, factor: Tensor) -> Tensor:
+        """Functions (k, n, n) on the grid from a factor (t, k), which holds them times the roots.
+
+        The other texels have the nearest one's.
+        """
+        n = math.isqrt(len(self.nearest))
+        return (factor.T / self.roots)[:, self.nearest].reshape(-1, n, n).contiguous()
+
+    def factor(self, table: Tensor) -> Tensor:
+        """The inverse of `table`."""
+        return (table.flatten(1)[:, self.inside] * self.roots).T
+
+
 class Remainders(Sequence[Tensor]):
     """What the tensor is fitted to, one slice (o, i) per shape, made when it is asked for.
 
     A slice is the remainder without lobes times the root of the fitting weights, over the norm of the whole, which
-    `norms` keeps. Texels that lie mostly outside of the unit circle take no part.
+    `norms` keeps.
     """
 
     def __init__(self, shapes: Sequence[Shape], angles: Sequence[float], resolution: int) -> None:
         self.shapes = shapes
         self.angles = angles
         self.resolution = resolution
-        grid = Disk(resolution)
-        self.filled = grid.nearest_inside()
-        self.inside = self.filled.unique()
-        self.directions = grid.directions().reshape(-1, 3)[self.inside].float()
-        self.weights = grid.projected_solid_angles().flatten()[self.inside].sqrt().float()
-        self.from_mirror = lobes.from_mirror(self.directions, self.directions[:, None])  # shape: (o, i)
+        self.texels = Texels.of(resolution)
+        d = self.texels.directions
+        self.from_mirror = lobes.from_mirror(d, d[:, None])  # shape: (o, i)
         self.norms: dict[int, float] = {}
 
     def __len__(self) -> int:
@@ -216,9 +323,9 @@ class Remainders(Sequence[Tensor]):
 
     def __getitem__(self, h: Any) -> Any:
         shape = self.shapes[h]
-        d = self.directions
+        d = self.texels.directions
         values = shape.evaluate(d, d[:, None])  # shape: (o, i)
-        weights = self.weights[:, None] * self.weights
+        weights = self.texels.roots[:, None] * self.texels.roots
         self.norms[h] = float((values * weights).double().norm()) or 1.0
         if self.angles:
             separate = separation.separate_isotropic if shape.isotropic else separation.separate
@@ -235,15 +342,20 @@ class Remainders(Sequence[Tensor]):
             fit = tucker.decompose(slices, ranks=ranks, error=error)
         else:
             fit = tucker.decompose_slices(slices, ranks=ranks, error=error)
-        u_h, *others = fit.factors
-        fitted = (tucker.multiply(fit.core, (row[None], *others))[0] for row in u_h)
-        missed = [(slices[h] - values).norm() for h, values in enumerate(fitted)]
+        missed = [(slices[h] - values[0]).norm() for h, values in enumerate(_slices(fit))]
         return fit, torch.stack(missed)
 
-    def table(self, values: Tensor) -> Tensor:
-        """Values (k, t) of the texels in use as a table (k, n, n); the others have the nearest one's."""
-        among = torch.searchsorted(self.inside, self.filled)
-        return values[:, among].reshape(-1, self.resolution, self.resolution).contiguous()
+
+def _slices(fit: tucker.Tucker) -> Iterator[Tensor]:
+    """A Tucker tensor (h, o, i), slice by slice (1, o, i)."""
+    u_h, *others = fit.factors
+    return (tucker.multiply(fit.core, (row[None], *others)) for row in u_h)
+
+
+def _shares(part: Tensor, whole: Tensor) -> Tensor:
+    """|part| / |whole| of every slice (h,) of tensors (h, ...); 0 where both are zero."""
+    norms = torch.linalg.vector_norm(part.flatten(1), dim=1)
+    return torch.where(norms > 0, norms / torch.linalg.vector_norm(whole.flatten(1), dim=1), 0.0)
 
 
 def _fewest_lobes(space: BRDFSpace, ranks: Sequence[int] | None, error: float | None) -> int:

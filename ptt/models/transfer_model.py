@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -133,6 +133,48 @@ class TransferModel(nn.Module):
         """Size of all buffers."""
         return sum(buffer.numel() * buffer.element_size() for buffer in self.buffers())
 
+    @property
+    def by_region(self) -> dict[str, ClusteredTransfer]:
+        """`regions` by their names; none of a model without clusters."""
+        return dict(zip(self.receivers.names, self.clustered, strict=len(self.regions) > 0))
+
+    def with_parts(
+        self, brdf: TensorBRDF | None = None, regions: Mapping[str, ClusteredTransfer] | None = None
+    ) -> TransferModel:
+        """The same model with another BRDF tensor, or other clusters of some regions: the way back into a relighter.
+
+        brdf, regions: what `with_tensorly` made of `brdf` and of `by_region`; what is left out stays, and is shared
+
+        The transfer was compressed with the model's incident factors: the tensor is taken over to them
+        (`TensorBRDF.over`), which is exact where it was decomposed anew or truncated.
+
+        Raises:
+            ValueError: a tensor of another space or with other lobes, or one that the incident factors do not span; a
+                region without clusters, or clusters for other points, slots or incident factors.
+        """
+        parts = self.by_region
+        for name, region in (regions or {}).items():
+            if name not in parts:
+                raise ValueError(f"no clusters of a region {name}; there are {', '.join(parts) or 'none'}")
+            if _fit_for(region) != _fit_for(parts[name]):
+                expected = f"{_fit_for(parts[name])} of region {name}"
+                raise ValueError(f"clusters must have the points, slots, pairs and factors {expected}")
+            parts[name] = region
+        brdf = self.brdf if brdf is None else self._taken_over(brdf)
+        sparse = None if parts else SparseTransfer(self.kept, self.columns, self.values)
+        settings = self.resolution, self.bounces, sparse, list(parts.values()), self.truncation_error
+        made = TransferModel(self.receivers, brdf, self.basis, *settings)
+        for name in self.receivers.tensors():
+            made.register_buffer(name, self.get_buffer(name))
+        return made
+
+    def _taken_over(self, brdf: TensorBRDF) -> TensorBRDF:
+        if brdf.space.to_config() != self.brdf.space.to_config():
+            raise ValueError("brdf must be of the model's space: see TensorBRDF.with_tensorly")
+        if brdf.angles != self.brdf.angles:
+            raise ValueError(f"brdf must have the lobes {self.brdf.angles} of the model, got {brdf.angles}")
+        return brdf.over(self.brdf)
+
     def transfer(self) -> Tensor:
         """T0 as a sparse CSR matrix (i * v, l), rows ordered (i, v), of a model without clusters."""
         return SparseTransfer(self.kept, self.columns, self.values).to_csr(self.grid.cells)
@@ -181,6 +223,11 @@ class TransferModel(nn.Module):
             t0 = SparseTransfer(*(tensors[name] for name in SparseTransfer._fields))
             _check_rows(t0, Cube(resolution).cells)
             return cls(receivers, brdf, None, resolution, bounces, t0, [], error)
+
+
+def _fit_for(region: ClusteredTransfer) -> tuple[int, list[int], list[list[int]], int]:
+    """The points, slots and pairs, and how many incident factors the clusters of a region are for."""
+    return region.points, region.slots, region.pairs, region.direct.shape[2] // region.eigenvectors
 
 
 def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:

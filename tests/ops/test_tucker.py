@@ -226,6 +226,45 @@ def test_tensorly_round_trip(backend: str) -> None:
     assert torch.allclose(ours.to_dense(), dense, atol=1e-12)
 
 
+def test_what_comes_from_tensorly_is_checked() -> None:
+    """Numpy arrays of another type too; any length where None is asked for."""
+    fit = tucker.decompose(decaying(), ranks=(3, 4, 5))
+    arrays = fit.core.numpy(), [factor.numpy() for factor in fit.factors]
+    like = torch.zeros(1)
+    known: list[tuple[int | None, ...]] = [(12, 20, 30), (12, None, 30)]
+    for shape in known:
+        got = tucker.Tucker.checked(arrays, shape, like, "it")
+        assert got.core.dtype == torch.float32
+        assert relative_rmse(got.to_dense(), decaying()) == pytest.approx(tucker.relative_error(fit, decaying()), 1e-4)
+    others: list[tuple[int | None, ...]] = [(12, 20), (12, 20, 31), (None, 20, 30, 1)]
+    for shape in others:
+        with pytest.raises(ValueError, match="it must be a TuckerTensor of shape"):
+            tucker.Tucker.checked(arrays, shape, like, "it")
+    empty = fit.core[:0], [fit.factors[0][:, :0], *fit.factors[1:]]
+    with pytest.raises(ValueError, match=r"got factors .* and a core \(0, 4, 5\)"):
+        tucker.Tucker.checked(empty, (12, 20, 30), like, "it")
+    with pytest.raises(ValueError, match="it must be finite"):
+        tucker.Tucker.checked((fit.core * math.inf, fit.factors), (12, 20, 30), like, "it")
+    for other in (None, 3, "abc", decaying()):
+        with pytest.raises(ValueError, match=r"it must be a TuckerTensor, a pair \(core, factors\), got"):
+            tucker.Tucker.checked(other, (12, 20, 30), like, "it")
+
+
+def test_factors_made_orthonormal() -> None:
+    """Any factors of the same tensor, even more columns than rows; those that are so already stay, signs too."""
+    wide = tucker.Tucker(random(3, 4, 40), (random(12, 3), random(20, 4, seed=1), random(30, 40, seed=2)))
+    done = wide.orthonormal((0, 2))
+    assert done.core.shape == (3, 4, 30)
+    assert torch.allclose(done.to_dense(), wide.to_dense(), atol=1e-10)
+    for axis in (0, 2):
+        factor = done.factors[axis]
+        assert torch.allclose(factor.T @ factor, torch.eye(factor.shape[1], dtype=torch.float64), atol=1e-12)
+    again = done.orthonormal((0, 2))
+    assert torch.equal(again.factors[1], wide.factors[1])
+    for part, other in zip((done.core, *done.factors), (again.core, *again.factors), strict=True):
+        assert torch.allclose(part, other, atol=1e-12)
+
+
 def test_tensorly_is_imported_on_demand() -> None:
     code = "import sys, ptt.ops.tucker; sys.exit('tensorly' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
