@@ -39,17 +39,20 @@ class Uncompressed:
         texels = light.project(grid)
         lighting = haar.analyse(texels.movedim(-1, 0))[..., :COARSE, :COARSE].flatten(1).T
         paths = bounces.Bounces(self.raw, self.brdf, self.basis, self.t0, self.cuts)
-        paths.reduced(lighting.contiguous())  # l is colour from here on
+        paths.change_lighting(lighting.contiguous())  # l is colour from here on
         h = slots.coefficients(paths.slots, self.basis, [materials[name] for name in own.names])
         everyone = torch.arange(len(own))
-        one = torch.cat([torch.einsum("bqsc,qc->bsc", paths.one(some), h) for some in everyone.split(32)])
-        again = [torch.einsum("bqc,qc->bc", paths.two(some, one[:, :, None])[:, :, 0], h) for some in rows.split(32)]
+        one = torch.cat([torch.einsum("bqsc,qc->bsc", paths.first_bounce(some), h) for some in everyone.split(32)])
+        again = [
+            torch.einsum("bqc,qc->bc", paths.second_bounce(some, one[:, :, None])[:, :, 0], h)
+            for some in rows.split(32)
+        ]
         two = torch.zeros(len(rows), *one.shape[1:])
         two[:, 0] = torch.cat(again)
         toward = torch.nn.functional.normalize(eye - own.positions[rows], dim=1)
         wo = torch.einsum("vij,vj->vi", own.frames[rows], toward)
         to_factors = responses(self.brdf)
-        filtered = paths.filtered(wo)
+        filtered = paths.lobe_harmonics(wo)
         direct = self._direct(rows, grid, texels.reshape(-1, 3))
         mirrored = self._mirrored(rows, wo, light)
         shaded = [self._shade(rows, wo, materials, direct, mirrored)]

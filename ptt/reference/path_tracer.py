@@ -85,7 +85,7 @@ class PathTracer:
 
     @cached_property
     def corners(self) -> Tensor:
-        """Numbers (f, 30) of each face: first corner, two edges from it, unit normal, normals and tangents of corners."""
+        """Geometry (f, 30) of faces: first corner, two edges from it, unit normal, corners' normals and tangents."""
         scene = self.scene
         a, b, c = scene.vertices.double()[scene.faces].unbind(1)
         normal = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-300)
@@ -161,7 +161,7 @@ class PathTracer:
         return share[:, None] * self.environment.radiance(world)
 
     def _towards_light(self, at: PathVertices, u: Tensor) -> tuple[Tensor, Tensor]:
-        """Numbers (k,) of the vertices that get light of the environment from directions that it draws, and that light (k, 3)."""
+        """Numbers (k,) of the vertices that get light from where the environment draws it, and the light (k, 3)."""
         world, density = self.sampler.sample(u)
         rows = torch.nonzero((at.frame[:, 2] * world).sum(1) > GRAZING)[:, 0]
         free = ~self.scene.surface.occluded(_pick(at.origin, rows), _pick(world, rows))

@@ -1,12 +1,12 @@
 """Transfer after one and two reflections, T1 and T2, point by point from rays that were traced once.
 
     T1[v, q, s, l] = integral of Z_s(w) cos(w) O_q[y(v, w), -w, l] dw           (Sun et al. 2007, section 3.1)
-    O_q[y, wo, l]  = sum over j of  g_q[wo, j] T0[y, j, l]                      a slot's reflection of direct light
+    O_q[y, wo, l]  = sum over j of  g_q[wo, j] T0[y, j, l]                      what slot q reflects of direct light
     T2[v, q', q, l] = integral of Z_0 cos(w) sum over s of d_q'[wo, s] T1[y, q, s, l] dw
 
-y(v, w) is what point v sees in direction w. The BRDF functions of the slots are those of the BRDF tensor, factors and
-lobes (j runs over both: the diffuse factor, the incident factors, the light about the axes of the lobes times its
-fractional visibility); so both reflections are matrix products. Lighting l: the coarse Haar coefficients.
+y(v, w) is what point v sees in direction w. Factors and lobes of the BRDF tensor give the functions of the slots, so
+both reflections are matrix products: j runs over the diffuse factor, the incident factors, and the light about the
+axes of the lobes times its fractional visibility. l runs over the coarse Haar coefficients of the lighting.
 """
 
 from __future__ import annotations
@@ -28,16 +28,18 @@ from ptt.ops import haar, harmonics, lobes, octahedral, transfer
 from ptt.ops.sphere import Cube
 from ptt.transfer.raw import RawTransfer
 
-MIRRORS = Cube(16)  # cells to which the axes of lobes are rounded
-SMOOTH = Cube(32)  # cells on which lobes are integrated
+AXIS_CELLS = Cube(16)  # cells to which the axes of lobes are rounded: 5.6 degrees wide
+LOBE_CELLS = Cube(32)  # cells on which lobes are integrated
 CUTS = 24  # cells along an edge of the hemispherical map of fractional visibility
 
 
-class Seen(NamedTuple):
-    """What some points see of one region: n rays at most, those that a point has not are zeros.
+class RegionHits(NamedTuple):
+    """What some points (b,) see of one region, by up to n rays each.
 
-    at (b, n): vertex; ray (b, n): number of the direction; wo (b, n, 3): towards the point, in the vertex's frame
-    weight (b, n): 1, or 0 where there is no ray or the vertex is seen from below its horizon
+    at (b, n): the vertex that a ray meets
+    ray (b, n): number of its direction
+    wo (b, n, 3): direction back to the point, in the vertex's frame
+    weight (b, n): 1, or 0 where a point has no ray left or sees the vertex from below its horizon
     """
 
     at: Tensor
@@ -48,10 +50,13 @@ class Seen(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Reflector:
-    """How one region reflects: its slots' functions in the terms of the BRDF tensor.
+    """The reflection of one region: the functions of its slots in terms of the BRDF tensor, p of them.
 
-    slots: numbers of its slots; channels (p,): colour channel of each, -1 for all
-    diffuse (p,): 1 / pi or 0; cores (p, o, i), peaks (p, k, turns, tilts)
+    slots: numbers of the slots
+    channels (p,): colour channel of each, -1 for all
+    diffuse (p,): 1 / pi, or 0 for a specular function
+    cores (p, o, i): responses to the tensor's factors
+    peaks (p, k, turns, tilts): reflectances of the lobes (`lobes.lookup`)
     """
 
     slots: list[int]
@@ -62,6 +67,7 @@ class Reflector:
 
     @classmethod
     def of(cls, region: int, slots: Sequence[Slot], raw: RawTransfer, brdf: TensorBRDF, basis: BRDFBasis) -> Reflector:
+        """The reflector of a region, by its number."""
         own = [k for k, slot in enumerate(slots) if slot.region == region]
         material = raw.receivers.materials[raw.receivers.names[region]]
         mixtures = []
@@ -83,7 +89,7 @@ class Reflector:
         )
 
     def shade(self, colours: Tensor) -> Tensor:
-        """The base colour (m, p) that each diffuse function has at points of colours (m, 3), over pi."""
+        """The base colour over pi (m, p) of each function at points of colours (m, 3); 0 for specular functions."""
         return self.diffuse * torch.where(self.channels >= 0, colours[:, self.channels.clamp(min=0)], colours[:, :1])
 
     def factors(self, wo: Tensor, brdf: TensorBRDF) -> Tensor:
@@ -91,13 +97,13 @@ class Reflector:
         return torch.einsum("om,poi->mpi", brdf.outgoing(wo), self.cores)
 
     def reflectances(self, wo: Tensor) -> Tensor:
-        """Reflectances (m, p, k) of their lobes, towards wo (m, 3)."""
+        """Reflectances (m, p, k) of the lobes of the specular functions, towards wo (m, 3)."""
         p, k = self.peaks.shape[:2]
         return lobes.lookup(self.peaks.flatten(0, 1), wo).reshape(p, k, len(wo)).permute(2, 0, 1)
 
 
 class Bounces:
-    """All that light reflects from: made once, then asked for blocks of points.
+    """All that light is reflected by on its way: made once, then asked for T1 and T2 of some points at a time.
 
     t0 (v, 1 + i, l): direct transfer to every vertex, in the coarse Haar basis (flattened)
     cuts (v, cells, k) uint8: fractional visibility of the lobes (`transfer.lobe_visibility`)
@@ -110,27 +116,25 @@ class Bounces:
         self.t0 = t0
         self.cuts = cuts
         self.slots = slots_of(own, basis.mixture.shape[1])
-        self.reflectors = [Reflector.of(r, self.slots, raw, brdf, basis) for r in range(len(own.names)) if self._has(r)]
+        regions = sorted({slot.region for slot in self.slots})
+        self.reflectors = [Reflector.of(region, self.slots, raw, brdf, basis) for region in regions]
         local = transfer.gather_directions(raw.hits.shape[1])
-        change = harmonics.hemispherical(ORDER)
-        values = harmonics.evaluate(local, ORDER) @ change.T
+        hemispherical = harmonics.hemispherical(ORDER)
+        values = harmonics.evaluate(local, ORDER) @ hemispherical.T
         self.projector = torch.linalg.pinv(values).float()  # shape: (s, n); exact for what the harmonics span
-        self.local = local.float()
-        self.change = change.float()
+        self.local_directions = local.float()
+        self.hemispherical = hemispherical.float()
         self.response = responses(brdf)
         self.blurs = blurs(brdf.angles).float()
-        self.mirrored = _mirrored(brdf.angles, raw.resolution)
+        self.light_about = _light_about_axes(brdf.angles, raw.resolution)
 
-    def _has(self, region: int) -> bool:
-        return any(slot.region == region for slot in self.slots)
-
-    def reduced(self, lighting: Tensor) -> None:
-        """From now on, lighting is a combination of the columns of a matrix (l, l')."""
+    def change_lighting(self, lighting: Tensor) -> None:
+        """Make l of T1 and T2 run over the columns of a matrix (l, l'), from now on."""
         self.t0 = self.t0 @ lighting
-        self.mirrored = self.mirrored @ lighting
+        self.light_about = self.light_about @ lighting
 
-    def seen(self, rows: Tensor, reflector: Reflector) -> Seen:
-        """What the points (b,) see of a region."""
+    def hits_on(self, rows: Tensor, reflector: Reflector) -> RegionHits:
+        """What points (b,), by their numbers, see of a reflector's region."""
         own = self.raw.receivers
         region = self.slots[reflector.slots[0]].region
         first, end = own.spans[region]
@@ -139,79 +143,82 @@ class Bounces:
         count = mine.sum(1)
         ray = mine.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, : int(count.max())]
         at = hits.gather(1, ray).clamp(first, end - 1)
-        direction = self.local[ray] @ own.frames[rows]
+        direction = self.local_directions[ray] @ own.frames[rows]
         wo = -(own.frames[at] @ direction[..., None])[..., 0]
         weight = (torch.arange(ray.shape[1]) < count[:, None]) & (wo[..., 2] > 0)
-        return Seen(at, ray, wo, weight.float())
+        return RegionHits(at, ray, wo, weight.float())
 
-    def one(self, rows: Tensor) -> Tensor:
-        """T1 (b, q, s, l) of points (b,)."""
+    def first_bounce(self, rows: Tensor) -> Tensor:
+        """T1 (b, q, s, l) of points (b,), by their numbers."""
         out = self.t0.new_zeros(len(rows), len(self.slots), ORDER**2, self.t0.shape[2])
         for reflector in self.reflectors:
-            seen = self.seen(rows, reflector)
-            if seen.ray.shape[1]:
-                at = seen.at.flatten()
-                wo = seen.wo.flatten(0, 1)
+            hits = self.hits_on(rows, reflector)
+            if hits.ray.shape[1]:
+                at = hits.at.flatten()
+                wo = hits.wo.flatten(0, 1)
                 g, light = self._specular(reflector, at, wo)
                 diffuse = reflector.shade(self.raw.receivers.colours[at])[..., None]
-                g = torch.cat((diffuse, g), 2) * seen.weight.flatten()[:, None, None]
-                sent = (g @ torch.cat((self.t0[at], light), 1)).reshape(*seen.at.shape, -1)  # shape: (b, n, p * l)
-                onto = self.projector.T[seen.ray].transpose(1, 2)
+                g = torch.cat((diffuse, g), 2) * hits.weight.flatten()[:, None, None]
+                sent = (g @ torch.cat((self.t0[at], light), 1)).reshape(*hits.at.shape, -1)  # shape: (b, n, p * l)
+                onto = self.projector.T[hits.ray].transpose(1, 2)
                 out[:, reflector.slots] = (onto @ sent).unflatten(2, (len(reflector.slots), -1)).transpose(1, 2)
         return out
 
     def _specular(self, reflector: Reflector, at: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
-        """Responses (m, p, i + k) to the incident factors and to the light (m, k, l) about the axes of the lobes."""
-        axes = lobes.lean(self.brdf.axes, wo)
-        each = torch.arange(len(self.brdf.angles))  # shape: (m, k, 3)
-        light = self.mirrored[MIRRORS.cell(axes @ self.raw.receivers.frames[at]), each]
+        """Responses (m, p, i + k) to incident factors and lobes, and the light (m, k, l) about the lobes' axes."""
+        axes = lobes.lean(self.brdf.axes, wo)  # shape: (m, k, 3)
+        each = torch.arange(len(self.brdf.angles))
+        light = self.light_about[AXIS_CELLS.cell(axes @ self.raw.receivers.frames[at]), each]
         cell = octahedral.HemiOctahedral(CUTS).cell(axes)
         through = self.cuts[at[:, None], cell, each].float() / 255
-        return torch.cat((reflector.factors(wo, self.brdf), reflector.reflectances(wo) * through[:, None]), 2), light
+        of_lobes = reflector.reflectances(wo) * through[:, None]
+        return torch.cat((reflector.factors(wo, self.brdf), of_lobes), 2), light
 
-    def two(self, rows: Tensor, t1: Tensor) -> Tensor:
-        """T2 (b, q', q, l) of points (b,) from T1 (v, s, q, l) of all, q' the last reflection's slot."""
+    def second_bounce(self, rows: Tensor, t1: Tensor) -> Tensor:
+        """T2 (b, q', q, l) of points (b,), by their numbers, from T1 (v, s, q, l) of all; q' reflects last."""
         _, s, q, l = t1.shape  # noqa: E741 (the field's letter)
         out = self.t0.new_zeros(len(rows), len(self.slots), q, l)
         for reflector in self.reflectors:
-            seen = self.seen(rows, reflector)
-            if seen.ray.shape[1]:
-                at = seen.at.flatten()
-                wo = seen.wo.flatten(0, 1)
-                weight = seen.weight * self.projector[0][seen.ray]
+            hits = self.hits_on(rows, reflector)
+            if hits.ray.shape[1]:
+                at = hits.at.flatten()
+                wo = hits.wo.flatten(0, 1)
+                weight = hits.weight * self.projector[0][hits.ray]
                 d = self._to_harmonics(reflector, at, wo) * weight.flatten()[:, None, None]  # shape: (m, p, s)
-                onto = d.reshape(*seen.at.shape, -1, s).transpose(1, 2).flatten(2)  # shape: (b, p, n * s)
+                onto = d.reshape(*hits.at.shape, -1, s).transpose(1, 2).flatten(2)  # shape: (b, p, n * s)
                 sent = t1[at].reshape(len(rows), -1, q * l).to(onto)
                 out[:, reflector.slots] = (onto @ sent).unflatten(2, (q, l))
         return out
 
     def _to_harmonics(self, reflector: Reflector, at: Tensor, wo: Tensor) -> Tensor:
-        """What each function sends towards wo (m, 3) of light that arrives in each harmonic (m, p, s)."""
+        """Light (m, p, s) that each function sends towards wo (m, 3) of light that arrives in each harmonic."""
         diffuse = reflector.shade(self.raw.receivers.colours[at])[..., None]
         out = torch.cat((diffuse, reflector.factors(wo, self.brdf)), 2) @ self.response.T
-        return out + torch.einsum("mpk,mks->mps", reflector.reflectances(wo), self.filtered(wo))
+        return out + torch.einsum("mpk,mks->mps", reflector.reflectances(wo), self.lobe_harmonics(wo))
 
-    def filtered(self, wo: Tensor) -> Tensor:
-        """Z_s about the axis of each lobe for wo (m, 3), as it blurs them (m, k, s)."""
+    def lobe_harmonics(self, wo: Tensor) -> Tensor:
+        """Means (m, k, s) of the harmonics Z_s under each lobe for wo (m, 3)."""
         y = harmonics.evaluate(torch.nn.functional.normalize(lobes.lean(self.brdf.axes, wo), dim=2), ORDER)
-        return (y * self.blurs) @ self.change.T
+        return (y * self.blurs) @ self.hemispherical.T
 
 
 @cache
-def _mirrored(angles: tuple[float, ...], resolution: int) -> Tensor:
-    """Mean light about the cells of MIRRORS under each lobe (cells, k, l), of a cube map's coarse Haar coefficients.
+def _light_about_axes(angles: tuple[float, ...], resolution: int) -> Tensor:
+    """Mean light (cells, k, l) under each lobe about each of AXIS_CELLS, from a cube map's coarse Haar coefficients.
 
-    The lobe of 0 degrees as that of 7: both are narrower than the cells of the lighting.
+    The lobe of 0 degrees counts as that of 7: both are narrower than the cells of the lighting.
     """
     if not angles:
-        return torch.zeros(MIRRORS.cells, 0, 6 * COARSE**2)
-    fine = SMOOTH.directions().reshape(-1, 3).float()
-    solid = SMOOTH.solid_angles().flatten().float()
+        return torch.zeros(AXIS_CELLS.cells, 0, 6 * COARSE**2)
+    fine = LOBE_CELLS.directions().reshape(-1, 3).float()
+    solid = LOBE_CELLS.solid_angles().flatten().float()
     rows = []
-    for axis in MIRRORS.directions().reshape(-1, 3).float().split(64):
+    for axis in AXIS_CELLS.directions().reshape(-1, 3).float().split(64):
         angle = lobes.angle_between(axis[:, None], fine)
         weight = torch.stack([lobes.gaussian(angle, max(a, 7.0)) for a in angles], 1) * solid
         weight = weight / weight.sum(2, keepdim=True)
-        coarse = haar.analyse(weight.unflatten(2, SMOOTH.shape))[..., :COARSE, :COARSE] * (SMOOTH.n / resolution)
+        coarse = haar.analyse(weight.unflatten(2, LOBE_CELLS.shape))[..., :COARSE, :COARSE] * (
+            LOBE_CELLS.n / resolution
+        )
         rows.append(coarse.flatten(2))
     return torch.cat(rows)

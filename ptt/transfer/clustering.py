@@ -1,8 +1,9 @@
 """Transfer of all points -> eigen-points of clusters, region by region (Sun et al. 2007, section 4.3).
 
-1. Features of a point: T0, T1 and T2, weighted by what they add to the picture under natural light, on a few hundred
-   common directions.
-2. Clusters and their eigen-points are found there (`ops.cpca`) and lifted back.
+1. The features of a point are its T0, T1 and T2, weighted by what they add to the picture under natural light, on a few
+   hundred common directions.
+2. Clusters and their eigen-points are found among the features (`ops.cpca`); then T0, T1 and T2 of the eigen-points are
+   made from those of the points.
 3. The lighting axis of every cluster is reduced once more (Tucker, on the modes of points and lighting).
 """
 
@@ -24,26 +25,27 @@ from ptt.ops.octahedral import tiles
 from ptt.ops.sphere import Cube
 from ptt.transfer.assembly import ALWAYS, Transfer, natural
 
-SKETCH = 256  # common directions of the features
-PROBES = 2048  # points that decide those
-STEPS = (8, 16, 24, 32, 48, 64)  # eigenvectors that are tried for an error
-RANK = 1e-6  # of the eigenvectors, relative
+SKETCH_DIRECTIONS = 256  # common directions of the features: more take longer and lose less of them
+SKETCHED_POINTS = 2048  # points that decide those directions
+TRIED_EIGENVECTORS = (8, 16, 24, 32, 48, 64)  # numbers of eigenvectors that are tried for a given error
+DEPENDENT = 1e-6  # an eigenvector whose part at right angles to those before it is relatively smaller is left out
 
 
 @dataclass(frozen=True)
 class Clusters:
     """How points share eigen-points.
 
-    points: of a cluster, on average; the paper has 1,000
-    eigenvectors: of each cluster: the paper's 32
-    lighting: of each cluster, dimensions in which indirect light is lit: the paper's 64
-    columns: coefficients of T0 of each cluster
-    storage: float32, float16 or bfloat16, of T0, T1 and T2
-    bytes: of all clusters together; when given, `points` follows from it
-    error: relative, of the features in L2; when given, `eigenvectors` follows from it, region by region
+    points: points of a cluster, on average; the paper has 1,000
+    eigenvectors: eigenvectors of each cluster; the paper has 32
+    lighting: dimensions of the light that lights T1, in each cluster; the paper has 64
+    columns: coefficients of T0 in each cluster
+    storage: type of T0, T1 and T2, float32, float16 or bfloat16
+    bytes: size of all clusters together; when given, `points` follows from it
+    error: relative L2 error of the features; when given, `eigenvectors` follows from it, region by region
 
     Raises:
-        ValueError: a number below 1, an error outside of (0, 1), another storage, or both bytes and error.
+        ValueError: a number is below 1, the error outside of (0, 1), the storage of another type, or both bytes and
+            error are given.
     """
 
     points: int = 250
@@ -69,40 +71,40 @@ def cluster(transfer: Transfer, clusters: Clusters = Clusters(), *, progress: bo
     """The compressed model: the clustered transfer of every region.
 
     Raises:
-        ValueError: fewer bytes than one cluster a region needs, or an error that the most eigenvectors do not meet.
+        ValueError: the bytes are too few for one cluster a region, or the most eigenvectors do not meet the error.
     """
     own = transfer.raw.receivers
-    regions = [_Region(transfer, r) for r in range(len(own.names))]
+    regions = [_RegionTransfer(transfer, r) for r in range(len(own.names))]
     if clusters.bytes is not None:
         clusters = replace(clusters, points=_points_for(clusters, regions))
     found = []
     with tqdm(total=len(own), desc="clusters", unit=" points", disable=not progress) as bar:
         for region in regions:
-            found.append(region.compressed(clusters))
+            found.append(region.compress(clusters))
             bar.update(region.points)
     raw = transfer.raw
     error = transfer.direct.error
     return TransferModel(own, transfer.brdf, transfer.basis, raw.resolution, raw.bounces, None, found, error)
 
 
-def _points_for(clusters: Clusters, regions: list[_Region]) -> int:
-    """The fewest points of a cluster with which all clusters together have no more than the bytes."""
+def _points_for(clusters: Clusters, regions: list[_RegionTransfer]) -> int:
+    """The fewest points a cluster with which all clusters together fit in the bytes."""
     assert clusters.bytes is not None
     limit = clusters.bytes
     most = max(1, *(region.points for region in regions))
 
-    def bytes_(points: int) -> int:
-        return sum(_count(region.points, points) * region.bytes(clusters) for region in regions)
+    def size(points: int) -> int:
+        return sum(_cluster_count(region.points, points) * region.bytes(clusters) for region in regions)
 
-    if bytes_(most) > limit:
-        raise ValueError(f"bytes must be at least {bytes_(most)}, one cluster a region, got {limit:g}")
-    return 1 + bisect_left(range(1, most + 1), True, key=lambda points: bytes_(points) <= limit)
+    if size(most) > limit:
+        raise ValueError(f"bytes must be at least {size(most)}, one cluster a region, got {limit:g}")
+    return 1 + bisect_left(range(1, most + 1), True, key=lambda points: size(points) <= limit)
 
 
-class _Region:
-    """The transfer to the points first..end of one region, from the slots and pairs that light them.
+class _RegionTransfer:
+    """The transfer to one region's points, first..end, from the slots and pairs of slots that light them.
 
-    glossy: whether it may show lobes
+    glossy: says whether the region may show lobes
     """
 
     def __init__(self, transfer: Transfer, region: int) -> None:
@@ -122,37 +124,37 @@ class _Region:
 
     @property
     def points(self) -> int:
-        """Of the region."""
+        """The number of the region's points."""
         return self.end - self.first
 
     def bytes(self, clusters: Clusters) -> int:
-        """Of one cluster."""
+        """The size of one cluster."""
         indirect = self.transfer.indirect
         factors = self.transfer.direct.coarse.shape[1]
         m = min(clusters.columns, Cube(self.transfer.raw.resolution).cells)
-        n = self._lighting(clusters)
+        n = self._lighting_dimensions(clusters)
         each = factors * m + len(self.slots) * ORDER**2 * n + len(self.pairs) * indirect.two.shape[3]
         return clusters.eigenvectors * each * clusters.storage.itemsize + 8 * m + 4 * n * indirect.axes.shape[1]
 
-    def _lighting(self, clusters: Clusters) -> int:
-        """Dimensions of a cluster's own lighting: none where no slot needs it."""
+    def _lighting_dimensions(self, clusters: Clusters) -> int:
+        """The dimensions of a cluster's own lighting: none where no slot lights the region."""
         return min(clusters.lighting, len(self.transfer.indirect.axes)) if len(self.slots) else 0
 
-    def compressed(self, clusters: Clusters) -> ClusteredTransfer:
-        """By CPCA of the features."""
+    def compress(self, clusters: Clusters) -> ClusteredTransfer:
+        """The region's transfer by clustered PCA of the features."""
         x = self._sketch()
         if clusters.error is not None:
             clusters = replace(clusters, eigenvectors=_eigenvectors_for(x, clusters))
         e = clusters.eigenvectors
-        labels = _labels(x, clusters.points, e)
+        labels = _cluster_labels(x, clusters.points, e)
         combination = torch.zeros(len(x), e)
         made = []
-        for k in range(int(labels.max()) + 1 if len(x) else 1):
+        for k in range(_clusters_in(labels) or 1):
             at = torch.nonzero(labels == k)[:, 0]
             q, r = torch.linalg.qr((x[at] @ cpca.basis(x[at], e).T).double())
-            full = r.diagonal().abs() > RANK * r.diagonal().norm()
-            combination[at, : q.shape[1]] = (q * full).float() * math.sqrt(len(at))
-            made.append(self._lifted(at, combination[at] / max(len(at), 1), clusters))
+            independent = r.diagonal().abs() > DEPENDENT * r.diagonal().norm()
+            combination[at, : q.shape[1]] = (q * independent).float() * math.sqrt(len(at))
+            made.append(self._eigen_points(at, combination[at] / max(len(at), 1), clusters))
         columns, t0, lighting, t1, t2 = (torch.stack(parts) for parts in zip(*made, strict=True))
         cluster, place = in_blocks(labels, self.transfer.raw.receivers.frames[self.first : self.end, 2])
         weights = torch.zeros(len(cluster) * WIDTH, e).index_copy(0, place, combination)
@@ -171,6 +173,7 @@ class _Region:
         )
 
     def _cuts(self, place: Tensor, blocks: int) -> Tensor:
+        """Fractional visibility (b * WIDTH, cells) int32, a byte for each lobe, in tiles; no cells without lobes."""
         if not self.glossy:
             return torch.zeros(blocks * WIDTH, 0, dtype=torch.int32)
         cuts = self.transfer.cuts[self.first : self.end]
@@ -179,41 +182,45 @@ class _Region:
         return bytes_.view(torch.int32).squeeze(2)
 
     def _sketch(self) -> Tensor:
-        """Features (v, r) on common directions."""
-        rows = torch.arange(self.points)
-        probes = rows[torch.randperm(len(rows), generator=torch.Generator().manual_seed(0))[:PROBES].sort().values]
-        directions = cpca.basis(self._features(probes), min(SKETCH, len(probes)))
-        return torch.cat([self._features(part) @ directions.T for part in rows.split(512)])
+        """Features (v, r) of all points on common directions."""
+        shuffled = torch.randperm(self.points, generator=torch.Generator().manual_seed(0))
+        some = shuffled[:SKETCHED_POINTS].sort().values
+        directions = cpca.basis(self._features(some), min(SKETCH_DIRECTIONS, len(some)))
+        return torch.cat([self._features(part) @ directions.T for part in torch.arange(self.points).split(512)])
 
     def _features(self, rows: Tensor) -> Tensor:
+        """T0, T1 and T2 of some points (v,), weighted by what they add to the picture, side by side."""
         weights = self.transfer.weights
         t0 = self.transfer.direct.coarse[rows + self.first] * weights.factors[:, None] * weights.light
         t1, t2 = self._indirect(rows)
-        t1 = t1 * weights.one(self.slots)
+        t1 = t1 * weights.of_t1(self.slots)
         t2 = t2 * (weights.slots[self.pairs].prod(1)[:, None] * weights.harmonics[0])
         return torch.cat((t0.flatten(1), t1.flatten(1), t2.flatten(1)), 1)
 
     def _indirect(self, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """T1 (v, q, s, l') and T2 (v, pairs, l'') of some points."""
-        one, two, _, scale = self.transfer.indirect
+        """T1 (v, q, s, l') and T2 (v, pairs, l'') of some points (v,)."""
+        indirect = self.transfer.indirect
         rows = rows + self.first
-        again = two[rows][:, self.pairs[:, 0], self.pairs[:, 1]]
-        return one[rows][:, self.slots].float() / scale, again.float() / scale
+        t1 = indirect.one[rows][:, self.slots]
+        t2 = indirect.two[rows][:, self.pairs[:, 0], self.pairs[:, 1]]
+        return t1.float() / indirect.scale, t2.float() / indirect.scale
 
-    def _lifted(self, rows: Tensor, combination: Tensor, clusters: Clusters) -> tuple[Tensor, ...]:
-        """Columns, T0, lighting, T1 and T2 of the eigen-points that combinations (v, e) of points make."""
+    def _eigen_points(self, rows: Tensor, combination: Tensor, clusters: Clusters) -> tuple[Tensor, ...]:
+        """Columns, T0, lighting, T1 and T2 of a cluster's eigen-points, which are combinations (v, e) of its points."""
         weights = self.transfer.weights
         axes = self.transfer.indirect.axes
         t1, t2 = self._indirect(rows)
         t1 = torch.einsum("ve,vqsl->eqsl", combination, t1)
-        weighed = (t1 * weights.one(self.slots)).flatten(0, 2).double()
-        own = torch.linalg.eigh(weighed.T @ weighed).eigenvectors.flip(1)[:, : self._lighting(clusters)].float()
+        weighed = (t1 * weights.of_t1(self.slots)).flatten(0, 2).double()
+        eigenvectors = torch.linalg.eigh(weighed.T @ weighed).eigenvectors.flip(1)
+        own = eigenvectors[:, : self._lighting_dimensions(clusters)].float()  # shape: (l', n)
         t1 = (t1 @ own).permute(3, 1, 0, 2)
         t2 = torch.einsum("ve,vpl->lpe", combination, t2)
-        return *self._lifted_direct(rows, combination, clusters), axes.T @ own, t1.flatten(1), t2.flatten(1)
+        columns, t0 = self._eigen_direct(rows, combination, clusters)
+        return columns, t0, axes.T @ own, t1.flatten(1), t2.flatten(1)
 
-    def _lifted_direct(self, rows: Tensor, combination: Tensor, clusters: Clusters) -> tuple[Tensor, Tensor]:
-        """The columns that matter most, and T0 (m, e * (1 + i)) there."""
+    def _eigen_direct(self, rows: Tensor, combination: Tensor, clusters: Clusters) -> tuple[Tensor, Tensor]:
+        """The coefficients (m,) that matter most, and T0 (m, e * (1 + i)) of the eigen-points there."""
         direct = self.transfer.direct
         grid = Cube(self.transfer.raw.resolution)
         factors = direct.coarse.shape[1]
@@ -227,32 +234,39 @@ class _Region:
         return columns, t0[:, columns].permute(1, 2, 0).flatten(1)
 
 
-def _labels(x: Tensor, points: int, eigenvectors: int) -> Tensor:
+def _cluster_labels(x: Tensor, points: int, eigenvectors: int) -> Tensor:
+    """The cluster (v,) of every row of features (v, r), for so many points a cluster."""
     if not len(x):
         return torch.zeros(0, dtype=torch.int64)
-    return cpca.cluster(x, _count(len(x), points), eigenvectors)
+    return cpca.cluster(x, _cluster_count(len(x), points), eigenvectors)
 
 
-def _count(points: int, each: int) -> int:
+def _cluster_count(points: int, each: int) -> int:
     return max(1, round(points / each))
 
 
+def _clusters_in(labels: Tensor) -> int:
+    """The number of clusters that labels (v,) name."""
+    return int(labels.max()) + 1 if len(labels) else 0
+
+
 def _eigenvectors_for(x: Tensor, clusters: Clusters) -> int:
-    """The fewest that leave no more than the error."""
+    """The fewest eigenvectors with which clusters leave no more than the error of features (v, r)."""
     assert clusters.error is not None
     whole = float(x.square().sum())
     left = 0.0
-    for e in STEPS:
-        labels = _labels(x, clusters.points, e)
+    for e in TRIED_EIGENVECTORS:
+        labels = _cluster_labels(x, clusters.points, e)
         left = 0.0
-        for k in range(int(labels.max()) + 1 if len(x) else 0):
+        for k in range(_clusters_in(labels)):
             own = x[labels == k]
             caught = own @ cpca.basis(own, e).T
             left += max(0.0, float(own.square().sum() - caught.square().sum()))
         if left <= clusters.error**2 * whole:
             return e
     reached = math.sqrt(left / whole)
+    most = TRIED_EIGENVECTORS[-1]
     raise ValueError(
-        f"error must be at least {reached:.3g} with {STEPS[-1]} eigenvectors and {clusters.points} points a cluster, "
+        f"error must be at least {reached:.3g} with {most} eigenvectors and {clusters.points} points a cluster, "
         f"got {clusters.error:g}: fewer points reach less"
     )

@@ -1,4 +1,4 @@
-"""Raw transfer -> compressed model: what of T0, T1 and T2 a scene, its materials and the accuracy require."""
+"""Raw transfer -> compressed model: the part of T0, T1 and T2 that a scene, its materials and the accuracy require."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from ptt.transfer.assembly import assemble, direct_light
 from ptt.transfer.clustering import Clusters, cluster
 from ptt.transfer.raw import RawTransfer
 
-RANKS = (4, 16, 16)  # BRDF, outgoing and incident factors
-LOBES = 3
+RANKS = (4, 16, 16)  # BRDF, outgoing and incident factors of the default tensor
+SEPARATED_LOBES = 3  # lobes of the default tensor, of 0, 7 and 14 degrees; each costs time and storage at every point
 
 
 def compress(
@@ -28,10 +28,10 @@ def compress(
 ) -> TransferModel:
     """Transfer to every point, as far as the scene and the accuracy require.
 
-    coefficients: Haar coefficients of T0 kept, on average over a point's factors; None keeps all. 96 is the paper's
-    brdf: the materials that the model can show, as one reflects at the points; default: Blinn-Phong exponents 1..200
+    coefficients: Haar coefficients of T0 kept, on average over a point's factors; None keeps all, the paper keeps 96
+    brdf: the materials that the model can show, as they reflect at the points; default: Blinn-Phong exponents 1..200
         at ranks (4, 16, 16)
-    basis: the same space as light is reflected on its way; default: four functions and the diffuse one
+    basis: the same space as it reflects light on its way; default: four functions and the diffuse one
     clusters: how points share eigen-points; None keeps every point's own T0, for direct light alone and without lobes:
         exact, but 10 to 100 times as large and as slow to light anew
     max_memory: bytes that may be in use
@@ -40,14 +40,14 @@ def compress(
     To try several `clusters` on the same transfer: `ptt.assemble` once, then `ptt.cluster`.
 
     Raises:
-        ValueError: coefficients out of range, a basis of another space than brdf, indirect light or lobes without
-            clusters, or too little memory.
+        ValueError: coefficients are out of range, basis and brdf have different spaces, indirect light or lobes have no
+            clusters, or there is too little memory.
 
     Sun et al. 2007, sections 3.3 and 4.3; Ng et al. 2003 for the weighting by area.
     """
     if clusters is None and raw.bounces:
         raise ValueError("light that bounces needs clusters, got None")
-    brdf = brdf or TensorBRDF.fit(BRDFSpace.blinn_phong(), ranks=RANKS, separated=LOBES if clusters else 0)
+    brdf = brdf or TensorBRDF.fit(BRDFSpace.blinn_phong(), ranks=RANKS, separated=SEPARATED_LOBES if clusters else 0)
     if clusters is not None:
         basis = basis or BRDFBasis.fit(brdf.space)
         transfer = assemble(raw, brdf, basis, coefficients, max_memory=max_memory, progress=progress)

@@ -1,4 +1,4 @@
-"""Ambient occlusion: how much of the sky a vertex sees, by the cosine."""
+"""Ambient occlusion: the share of the sky that a vertex sees, by the cosine."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from tqdm import tqdm
 from ptt.ops.transfer import gather_directions
 from ptt.scene.scene import Scene
 
-BLOCK = 1 << 20  # rays
+RAYS_AT_ONCE = 1 << 20
 
 
 def ambient_occlusion(scene: Scene, rays: int = 256, progress: bool = False) -> Tensor:
     """The share (v,) of the cosine-weighted hemisphere that each vertex sees: 1 where nothing is in the way.
 
-    rays: of each vertex, spread with a density proportional to the cosine, the same local ones for all
+    rays: number of rays from each vertex, with a density proportional to the cosine, in the same local directions
 
     Raises:
         ValueError: rays < 1.
@@ -24,7 +24,7 @@ def ambient_occlusion(scene: Scene, rays: int = 256, progress: bool = False) -> 
         raise ValueError(f"rays must be at least 1, got {rays}")
     local = gather_directions(rays).float()
     origins = scene.surface.offset(scene.points, scene.normals)
-    step = max(1, BLOCK // rays)
+    step = max(1, RAYS_AT_ONCE // rays)
     parts = []
     with tqdm(total=len(origins), desc="occlusion", unit=" vertices", disable=not progress) as bar:
         for start, frames in zip(origins.split(step), scene.frames.split(step), strict=True):

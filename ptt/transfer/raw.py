@@ -1,4 +1,4 @@
-"""Scene -> raw transfer, block by block: all that needs rays, and nothing that depends on materials."""
+"""Scene -> raw transfer, block by block: all results that need rays, and none that depends on materials."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from ptt.ops import transfer
 from ptt.ops.sphere import Cube
 from ptt.scene.scene import Scene
 
-BLOCK = 128  # points traced at once: about 1.5 million rays
-RAYS = 512  # over the hemisphere of a point, for what other surfaces send to it
+POINTS_AT_ONCE = 128  # about 1.5 million rays
+RAYS = 512  # default, over a hemisphere, for light from other surfaces: more take time and leave less noise
 KIND = "raw transfer"
 
 
 @dataclass(frozen=True, eq=False)
 class RawTransfer:
-    """What `precompute` finds and `compress` reads.
+    """The visibility that `precompute` finds and `compress` reads.
 
     receivers: v points
-    visible (v, cells / 8) uint8: packed bits, which of the 6 n n cells of the cube map each point sees
-    hits (v, rays) int32: which vertex each point sees in the directions of `transfer.gather_directions`; -1 for none
+    visible (v, cells / 8) uint8: packed bits that say which of the 6 n n cells of the cube map each point sees
+    hits (v, rays) int32: vertex that each point sees in each direction of `transfer.gather_directions`; -1 for none
     resolution: n, cells along an edge of the cube map
-    bounces: how many the hits serve for
+    bounces: number of bounces for which the hits were traced
     """
 
     receivers: Receivers
@@ -48,7 +48,7 @@ class RawTransfer:
         saved.save(path, KIND, config, {"visible": self.visible, "hits": self.hits, **self.receivers.tensors()})
 
     def part(self, rows: slice) -> RawTransfer:
-        """Some of the receivers, for direct light: the others, which they may see, are left out."""
+        """The transfer to some of the receivers, for direct light: the others, which they may see, are left out."""
         return RawTransfer(self.receivers.part(rows), self.visible[rows], self.hits[rows, :0], self.resolution, 0)
 
     @classmethod
@@ -80,19 +80,19 @@ def precompute(
     index: Tensor | None = None,
     progress: bool = False,
 ) -> RawTransfer:
-    """What every vertex of a scene sees: of the cube map, and, for indirect light, of the other vertices.
+    """Trace what every vertex of a scene sees: cells of the cube map and, for indirect light, other vertices.
 
     bounces: reflections before the last one that the model shall show: 0 for direct light, 1 or 2
     resolution: cells along an edge of the cube map, a power of two; the paper has 64
-    rays: over the hemisphere of each vertex, for indirect light
-    index (v,): vertices to keep, ascending; default all. For direct light alone
+    rays: number of rays over the hemisphere of each vertex, for indirect light
+    index (v,): vertices to keep, ascending, for direct light alone; default: all
     progress: show a bar with the rate and the time left
 
-    Takes about 12,000 rays a vertex at 64: 2 ms on two cores; a bounce adds 0.2 ms.
+    At a resolution of 64 a vertex takes about 12,000 rays, 2 ms on two cores; a bounce adds 0.2 ms.
 
     Raises:
-        ValueError: resolution is not a power of two from 2 to 128, bounces not 0, 1 or 2, rays < 16, or index is not
-            ascending vertex numbers or comes with bounces.
+        ValueError: resolution is not a power of two from 2 to 128, bounces are not 0, 1 or 2, rays < 16, or index does
+            not hold ascending vertex numbers or comes with bounces.
 
     Sun et al. 2007, sections 3.3 and 4.3.
     """
@@ -109,7 +109,9 @@ def precompute(
     visible = []
     hits = []
     with tqdm(total=len(receivers), desc="rays", unit=" points", disable=not progress) as bar:
-        for positions, frames in zip(receivers.positions.split(BLOCK), receivers.frames.split(BLOCK), strict=True):
+        for positions, frames in zip(
+            receivers.positions.split(POINTS_AT_ONCE), receivers.frames.split(POINTS_AT_ONCE), strict=True
+        ):
             visible.append(transfer.visibility(scene.surface, positions, frames[:, 2], directions))
             u = torch.rand(len(positions), len(local), generator=random)
             hits.append(transfer.gather(scene.surface, scene.faces, positions, frames, local, u))

@@ -76,7 +76,7 @@ def paths(
     cuts = transfer.lobe_visibility(raw.visible, raw.receivers.frames, Cube(N), CUTS, brdf.angles)
     made = Bounces(raw, brdf, basis, coarse_t0(raw, brdf), cuts)
     if lighting is not None:
-        made.reduced(lighting)
+        made.change_lighting(lighting)
     return made
 
 
@@ -261,7 +261,7 @@ def test_one_bounce_against_the_dense_oracle(
     rows = seeing_points(raw)
     assert len(rows) >= 4 and {slot.function for slot in made.slots} == {OWN, 0, 1, 2, 3}
     expected = torch.stack([oracle.one(int(v)) for v in rows])
-    found = made.one(rows)
+    found = made.first_bounce(rows)
     for q in range(len(made.slots)):
         if made.slots[q].region < 3:
             assert_close(found[:, q].double(), expected[:, q], 2e-5)
@@ -278,7 +278,7 @@ def test_two_bounces_against_the_dense_oracle(
     t1 = torch.randn(len(raw.receivers), q, ORDER**2, 3, generator=torch.Generator().manual_seed(0)).half()
     expected = torch.stack([oracle.two(int(v), t1.double()) for v in rows])
     for some in (t1, t1.float()):
-        found = made.two(rows, some.transpose(1, 2).contiguous())
+        found = made.second_bounce(rows, some.transpose(1, 2).contiguous())
         assert found.shape == (len(rows), q, q, 3)
         assert_close(found.double(), expected, 2e-5)
 
@@ -287,11 +287,13 @@ def test_blocks_do_not_matter(raw: ptt.RawTransfer, models: tuple[ptt.TensorBRDF
     """Points with few hits are padded to the most of the block."""
     made = paths(raw, models, some_lights())
     rows = torch.arange(0, len(raw.receivers), 5)
-    whole = made.one(rows)
-    parts = torch.cat([made.one(some) for some in rows.split(3)])
+    whole = made.first_bounce(rows)
+    parts = torch.cat([made.first_bounce(some) for some in rows.split(3)])
     assert_close(parts, whole, 1e-6)
     t1 = torch.randn(len(raw.receivers), ORDER**2, len(made.slots), 4, generator=torch.Generator().manual_seed(0))
-    assert_close(torch.cat([made.two(some, t1) for some in rows.split(3)]), made.two(rows, t1), 1e-6)
+    assert_close(
+        torch.cat([made.second_bounce(some, t1) for some in rows.split(3)]), made.second_bounce(rows, t1), 1e-6
+    )
 
 
 def test_a_region_that_nobody_sees_sends_nothing(
@@ -302,9 +304,9 @@ def test_a_region_that_nobody_sees_sends_nothing(
     every = torch.arange(len(raw.receivers))
     unseen = slots_in(made, 3)
     first = raw.receivers.spans[3][0]
-    t1 = made.one(every)
+    t1 = made.first_bounce(every)
     assert len(unseen) == 4 and not t1[:, unseen].any() and not t1[first:].any()
-    t2 = made.two(every, t1.transpose(1, 2).contiguous())
+    t2 = made.second_bounce(every, t1.transpose(1, 2).contiguous())
     assert not t2[:, unseen].any() and not t2[:, :, unseen].any() and not t2[first:].any()
     assert t1[:first, slots_in(made, 0)].any() and t2[:first].any()
 
@@ -321,19 +323,19 @@ def test_channels_are_grey_regions_of_their_own(
     made = paths(raw, models, lights)
     at = slots_in(made, 2)[:3]
     assert [made.slots[q][1:] for q in at] == [(0, 0), (0, 1), (0, 2)]
-    channels = made.one(rows)[:, at]
+    channels = made.first_bounce(rows)[:, at]
 
     def grey(values: Tensor) -> Tensor:
         other = paths(coloured(raw, 2, values[:, None].expand(-1, 3)), models, lights)
         assert [slot.channel for slot in other.slots if slot.region == 2] == [-1] * 4
-        return other.one(rows)[:, slots_in(other, 2)[0]]
+        return other.first_bounce(rows)[:, slots_in(other, 2)[0]]
 
     for c in range(3):
         assert_close(channels[:, c], grey(colours[:, c]), 1e-5)
     assert_close(channels.sum(1), grey(colours.sum(1)), 1e-5)
 
     one_colour = torch.tensor([0.2, 0.9, 0.4])
-    constant = paths(coloured(raw, 2, one_colour.expand(end - first, 3)), models, lights).one(rows)[:, at]
+    constant = paths(coloured(raw, 2, one_colour.expand(end - first, 3)), models, lights).first_bounce(rows)[:, at]
     assert_close(constant, grey(torch.ones(end - first))[:, None] * one_colour[:, None, None], 1e-5)
 
 
@@ -351,8 +353,8 @@ def test_a_fixed_region_reflects_as_an_editable_one_with_its_material(
     assert [slot.function for slot in fixed.slots if slot.region == 0] == [0, OWN]
     assert [slot.function for slot in free.slots if slot.region == 0] == [0, 1, 2, 3]
     rows = torch.arange(raw.receivers.spans[1][0], len(raw.receivers), 5)
-    own = fixed.one(rows)[:, :2]
-    others = free.one(rows)[:, :4]
+    own = fixed.first_bounce(rows)[:, :2]
+    others = free.first_bounce(rows)[:, :4]
     assert_close(others[:, 0], own[:, 0], 1e-6)
     assert_close(torch.einsum("p,vpsl->vsl", basis.of_shape(SHAPE), others[:, 1:]), own[:, 1], 5e-4)
 
@@ -362,9 +364,9 @@ def test_reduced_lighting_commutes(raw: ptt.RawTransfer, models: tuple[ptt.Tenso
     made = paths(raw, models)
     rows = torch.arange(0, len(raw.receivers), 11)
     matrix = some_lights(7)
-    expected = made.one(rows) @ matrix
-    made.reduced(matrix)
-    found = made.one(rows)
+    expected = made.first_bounce(rows) @ matrix
+    made.change_lighting(matrix)
+    found = made.first_bounce(rows)
     assert found.shape == (len(rows), len(made.slots), ORDER**2, 7)
     assert_close(found, expected, 1e-5)
 
@@ -375,9 +377,9 @@ def test_without_lobes(raw: ptt.RawTransfer, models: tuple[ptt.TensorBRDF, ptt.B
     made = Bounces(raw, brdf, basis, coarse_t0(raw, brdf), _cuts(raw, brdf, progress=False))
     rows = seeing_points(raw)[:3]
     diffuse = [q for q, slot in enumerate(made.slots) if slot.function == 0]
-    assert_close(made.one(rows)[:, diffuse], paths(raw, models).one(rows)[:, diffuse], 1e-5)
+    assert_close(made.first_bounce(rows)[:, diffuse], paths(raw, models).first_bounce(rows)[:, diffuse], 1e-5)
     t1 = torch.randn(len(raw.receivers), ORDER**2, len(made.slots), 2, generator=torch.Generator().manual_seed(0))
-    assert made.two(rows, t1).isfinite().all()
+    assert made.second_bounce(rows, t1).isfinite().all()
 
 
 def irradiance(
@@ -387,8 +389,8 @@ def irradiance(
     made = paths(raw, models, light(environment))
     h = coefficients(made.slots, models[1], [raw.receivers.materials[name] for name in raw.receivers.names])
     every = torch.arange(len(raw.receivers))
-    t1 = made.one(every)
-    t2 = made.two(every, t1.transpose(1, 2).contiguous())
+    t1 = made.first_bounce(every)
+    t2 = made.second_bounce(every, t1.transpose(1, 2).contiguous())
     one = torch.einsum("vqc,qc->vc", t1[:, :, 0], h)
     two = torch.einsum("vpqc,pc,qc->vc", t2, h, h)
     return made.t0[:, 0] / math.pi, one / math.sqrt(math.pi), two / math.sqrt(math.pi)

@@ -23,7 +23,7 @@ from ptt.relight import cluster_steps
 from ptt.scene.parts import Part
 from ptt.transfer.assembly import Transfer
 from ptt.transfer.bounces import CUTS
-from ptt.transfer.clustering import _eigenvectors_for, _Region
+from ptt.transfer.clustering import _eigenvectors_for, _RegionTransfer
 
 SKY = ptt.Environment(
     nn.functional.avg_pool2d(ptt.Environment.sun_sky(radius=10.0).map.movedim(-1, 0), 8).movedim(0, -1)
@@ -245,7 +245,7 @@ def test_a_larger_error_needs_fewer_eigenvectors(assembled: Transfer) -> None:
     for error in (0.3, 0.1, 0.03):
         model = ptt.cluster(assembled, ptt.Clusters(points=30, columns=64, lighting=8, error=error))
         for r, region in enumerate(model.clustered):
-            x = _Region(assembled, r)._sketch().double()
+            x = _RegionTransfer(assembled, r)._sketch().double()
             weights = region.weights.transpose(1, 2).flatten(0, 1)[region.place].double()
             labels = region.cluster[region.place // region.weights.shape[2]]
             left = 0.0
