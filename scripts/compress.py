@@ -22,30 +22,30 @@ class Config:
     """Defaults; flags override them."""
 
     raw: Path = Path("runs/default/raw.safetensors")
-    """What precompute.py wrote."""
+    """The raw transfer that precompute.py wrote."""
     space: Space = "auto"
     """Materials that the model can show: blinn-phong (exponents 1..200), fitted (Cook-Torrance: the 86 of Ngan et al.
     2005 and what lies between), ward or ggx; auto: the space of the shapes that the scene's own materials have."""
     ranks: tuple[int, int, int] = (4, 16, 16)
     """BRDF, outgoing and incident factors of the BRDF tensor; storage grows with the last."""
     lobes: int = 3
-    """Of 0, 7, 14 and 21 degrees, which are taken out of the tensor: sharper highlights; 0..4."""
+    """Lobes, of 0, 7, 14 and 21 degrees, that are taken out of the tensor, for sharp highlights; 0..4."""
     functions: int = 4
     """Specular functions by which light is reflected on its way."""
     coefficients: int = 96
     """Haar coefficients kept for each vertex and incident factor: 96 for a preview, 256 below 1 % of error."""
     points: int = 250
-    """Of a cluster, on average."""
+    """Points of a cluster, on average."""
     eigenvectors: int = 32
-    """Of each cluster."""
+    """Eigenvectors of each cluster."""
     lighting: int = 64
     """Dimensions of indirect light in each cluster."""
     bytes: float | None = None
-    """Of all clusters together; --points follows from it."""
+    """Size of all clusters together; --points follows from it."""
     error: float | None = None
-    """Relative, that clusters may leave of the transfer; --eigenvectors follows from it."""
+    """Relative L2 error that clusters may leave of the transfer; --eigenvectors follows from it."""
     max_memory: float = 10.0
-    """That may be in use meanwhile, GB."""
+    """Memory that may be in use meanwhile, GB."""
 
 
 def main() -> None:
@@ -69,10 +69,9 @@ def main() -> None:
     print(f"T0, {config.coefficients} coefficients: relative L2 error {model.truncation_error:.4f}")
     for name, region in zip(model.receivers.names, model.clustered, strict=True):
         size = sum(buffer.nbytes for buffer in region.buffers())
-        made = f"{len(region.columns)} clusters of {region.eigenvectors} eigenvectors, {size / 1e6:.1f} MB"
-        print(
-            f"  {name}: {region.points} points, {made}, lit by {len(region.slots)} slots and {len(region.pairs)} pairs"
-        )
+        clusters_made = f"{len(region.columns)} clusters of {region.eigenvectors} eigenvectors, {size / 1e6:.1f} MB"
+        lit_by = f"{len(region.slots)} slots and {len(region.pairs)} pairs"
+        print(f"  {name}: {region.points} points, {clusters_made}, lit by {lit_by}")
     path = config.raw.with_name("model.safetensors")
     model.save(path)
     save_config(config, config.raw.with_name("compress.json"))

@@ -23,7 +23,7 @@ class Config:
     """Defaults; flags override them."""
 
     model: Path = Path("runs/default/model.safetensors")
-    """What compress.py wrote."""
+    """The model that compress.py wrote."""
     scene: str = "default"
     """The scene that the model was made of."""
     environment: str = "scene"
@@ -31,7 +31,7 @@ class Config:
     rotate: float = 0.0
     """Turn of the light about the vertical axis, degrees."""
     bounces: int | None = None
-    """Of the reference; default: those that the model was made for."""
+    """Bounces of the reference; default: those that the model was made for."""
     samples: int = 1024
     """Light paths for each vertex of the reference."""
 

@@ -1,4 +1,4 @@
-"""Trace a scene: which light every vertex sees, and which other vertices. Slow, once per geometry.
+"""Trace a scene: which light every vertex sees, and which other vertices. This is slow, and done once per geometry.
 
 Nothing here depends on materials.
 
@@ -30,7 +30,7 @@ class Config:
     bounces: int = 2
     """Reflections before the last one that the models show: 0 for direct light, 1 or 2."""
     rays: int = 512
-    """Over the hemisphere of each vertex, for light that bounces."""
+    """Number of rays over the hemisphere of each vertex, for light that bounces."""
     out: Path = Path("runs/default")
     """Folder for the result."""
 

@@ -31,7 +31,7 @@ class Config:
     scene: str = "default"
     """A mesh (.ply .obj .stl .gltf .glb), a scene file (.toml), or "default", which is made in code."""
     model: Path | None = None
-    """What compress.py wrote for this scene; without it, the scene is traced and compressed first."""
+    """The model that compress.py wrote for this scene; without it, the scene is traced and compressed first."""
     environment: str = "scene"
     """An HDR map (.exr .hdr), "scene" for the scene's own, "sky" or "constant"."""
     region: str = ""
@@ -49,7 +49,7 @@ class Config:
     bounces: int = 2
     """Reflections before the last one, where the scene is traced here; with --model, those that it was made for."""
     rays: int = 128
-    """Over the hemisphere of each vertex, for light that bounces, where the scene is traced here."""
+    """Number of rays over the hemisphere of each vertex, for light that bounces, where the scene is traced here."""
     functions: int = 2
     """Specular functions by which light is reflected on its way, where the scene is compressed here."""
     coefficients: int = 96
@@ -70,10 +70,10 @@ def main() -> None:
     light = chosen_light(config.environment, scene)
     camera = replace(scene.camera, width=config.width, height=config.height)
 
-    # what is edited
+    # choose the edit
     names = [region.name for region in scene.regions]
     region = config.region or names[min(1, len(names) - 1)]
-    scene.region_index(region)  # an unknown name, or below a shape that the model cannot show, ends it early
+    scene.region_index(region)  # refuses an unknown name early, as `coordinates` below a shape that no model shows
     own = scene.materials[region].shape
     shape = ptt.BlinnPhong(config.exponent) if own is None or isinstance(own, ptt.BlinnPhong) else own
     edited = ptt.Material(config.diffuse, config.specular, shape)
@@ -141,7 +141,7 @@ def judge(
 ) -> tuple[Tensor, dict[str, float]]:
     """A column of pictures (relit, reference, difference x 4), and the errors at the vertices that face the eye.
 
-    bounces, samples: of the reference
+    bounces, samples: those of the reference
     """
     every = scene, environment, materials, view
     truth = ptt.reference.at_vertices(*every, bounces=bounces, samples=16 * samples)

@@ -1,4 +1,4 @@
-"""A BRDF space in a few functions, lobes included: what indirect light reflects by (Sun et al. 2007, section 4.3)."""
+"""A BRDF space in a few functions, lobes included, by which indirect light is reflected (Sun et al. 2007, 4.3)."""
 
 from __future__ import annotations
 
@@ -14,27 +14,29 @@ from ptt.materials.spaces import BRDF, BRDFSpace
 from ptt.ops import brdf
 from ptt.ops.albedo import gauss_legendre, nodes
 
-FUNCTIONS = 4
-ENERGY = 4.0  # how much more than its shape an albedo counts
+FUNCTIONS = 4  # specular ones, as in the paper
+ENERGY = 4.0  # weight of the albedo against the shape: without it four functions left albedos 29 % wrong, with it 7 %
 BANDS = 8  # of cells from the normal to the horizon: as wide as a texel of a cube map of 8 x 8, 11 degrees
-TILTS = 24
-TURNS = 7  # outgoing directions: by projected solid angle, and around the normal
-FINEST = 1e-4
-RINGS = 48
-ARCS = 24  # of the quadrature over incident directions (`ops.albedo.nodes`)
+TILTS = 24  # outgoing directions by projected solid angle
+TURNS = 7  # outgoing directions around the normal
+FINEST_ANGLE = 1e-4  # [rad] half angle that the quadrature over incident directions resolves (`ops.albedo.nodes`)
+RINGS = 48  # half angles of that quadrature on either side of the horizon's bound
+ARCS = 24  # azimuths of that quadrature
+ROUNDING = 1e-13  # share of the largest eigenvalue of a float64 Gram matrix: smaller ones are rounding
 
 
 class BRDFBasis(nn.Module):
     """f(wi, wo) ~ sum over p of H[p, c] b_p(wi, wo), b_0 = 1/pi, b_p = sum over h of mixture[h, p] f_h(wi, wo).
 
     space: the samples f_h
-    mixture (h, p), table (h, p): of the specular functions, p of them, and the coefficients of every sample
+    mixture (h, p): shares of the samples in the p specular functions
+    table (h, p): coefficients of every sample
     error (h,): |f_h - its approximation| / |f_h|, in the norm of the fit
 
-    The norm has two scales, as indirect light comes as texels, and most receivers see little more than its sum:
+    The norm has two scales, since indirect light comes as texels, and most receivers see little more than its sum:
     |f|^2 = integral over wo, by projected solid angle, of sum over C of r(C)^2 / solid angle of C + (ENERGY r)^2 / pi.
-    r(C) = integral over C of f(wi, wo) cos(wi) dwi, C one of 163 cells of incident directions, 11 degrees wide; r, the
-    sum of all, is the albedo. Lambert's 1/pi has norm 4.08. In this norm, the specular functions are the uncentred
+    r(C) = integral over C of f(wi, wo) cos(wi) dwi, with C one of 163 cells of incident directions, 11 degrees wide;
+    their sum r is the albedo. Lambert's 1/pi has norm 4.08. In this norm, the specular functions are the uncentred
     principal components of the samples, scaled to norm 1: orthonormal, linear, and zero is zero. Weights and colours
     stay outside.
 
@@ -58,32 +60,33 @@ class BRDFBasis(nn.Module):
     def fit(cls, space: BRDFSpace, functions: int = FUNCTIONS) -> BRDFBasis:
         """The principal components of a space in the norm above, by a quadrature that resolves its lobes.
 
-        functions: how many specular ones; where the space has fewer independent samples, the rest are zero
+        functions: number of specular functions; where the space has fewer independent samples, the rest are zero
 
         Raises:
-            ValueError: not in 1..samples.
+            ValueError: functions are not in 1..samples.
         """
         if not 1 <= functions <= len(space.samples):
             raise ValueError(f"functions must be in 1..{len(space.samples)}, the samples, got {functions}")
         features = _features(space.samples)
         norms = features.norm(dim=1, keepdim=True).clamp(min=1e-300)
         size, vectors = principal(features / norms @ (features / norms).T, functions)
-        mixture = vectors / size.clamp(min=1e-300).sqrt() * (size > 1e-13 * size[0]) / norms
-        return cls(space, *_described(features, mixture, features))
+        mixture = vectors / size.clamp(min=1e-300).sqrt() * (size > ROUNDING * size[0]) / norms
+        mixture, table, error = _coefficients_of(features, features, mixture)
+        return cls(space, mixture, table, error)
 
     def with_brdf(self, name: str, brdf: BRDF | Material) -> BRDFBasis:
-        """One more sample, a function f(wi, wo) or a material's shape by name, in the same functions.
+        """The basis with one more sample, a function f(wi, wo) or a material's shape by name.
 
-        The functions stay, so what was precomputed with them does too; look at `error[-1]`.
+        The functions stay, and so does what was precomputed with them; `error[-1]` says how well they suit the sample.
         """
         space = self.space.with_brdf(name, brdf)
         features = _features(space.samples)
         mixture = nn.functional.pad(self.mixture.double(), (0, 0, 0, 1))
-        mixture, table, error = _described(features, mixture, features[-1:])
+        mixture, table, error = _coefficients_of(features[-1:], features, mixture)
         return BRDFBasis(space, mixture, torch.cat((self.table, table)), torch.cat((self.error, error)))
 
     def coefficients(self, material: Material) -> Tensor:
-        """H (1 + p, 3) of a material, also between samples; differentiable in its weights and parameters."""
+        """H (1 + p, 3) of a material, which may lie between samples; differentiable in its weights and parameters."""
         specular = material.specular.to(self.table)
         row = self.table.new_zeros(self.table.shape[1]) if material.shape is None else self.of_shape(material.shape)
         return torch.cat((material.diffuse.to(self.table)[None], row[:, None] * specular))
@@ -93,7 +96,7 @@ class BRDFBasis(nn.Module):
         return self.space.resolved(shape).to(self.table) @ self.table
 
     def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
-        """The functions (..., 1 + p) [1/sr] at local unit directions (..., 3), exact: sample by sample."""
+        """The functions (..., 1 + p) [1/sr] at local unit directions (..., 3), exactly: sample by sample."""
         diffuse = brdf.lambert(*torch.broadcast_tensors(wi, wo))[..., None]
         specular = torch.zeros_like(diffuse).expand(*diffuse.shape[:-1], self.mixture.shape[1])
         for shape, weights in zip(self.space.samples, self.mixture.to(wi), strict=True):
@@ -107,11 +110,13 @@ def principal(gram: Tensor, count: int) -> tuple[Tensor, Tensor]:
     return values.flip(0)[:count].clamp(min=0), vectors.flip(1)[:, :count]
 
 
-def _described(features: Tensor, mixture: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Mixture, coefficients and errors, float32, of wanted BRDFs (k, m) in functions mixed of others (h, m).
+def _coefficients_of(wanted: Tensor, features: Tensor, mixture: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The mixture (h, p) rounded to float32, and coefficients (k, p) and errors (k,) of BRDFs by their features (k, m).
 
-    Functions whose large parts of opposite sign cancel are orthonormal only as far as float32 holds the mixture: the
-    coefficients solve for the functions as they are.
+    features (h, m), mixture (h, p): the samples', and the functions that are mixed of these
+
+    Functions whose large parts of opposite sign cancel are orthonormal only as far as float32 holds the mixture, so the
+    coefficients solve for the functions as rounding leaves them.
     """
     mixture = mixture.float()
     functions = mixture.double().T @ features
@@ -122,27 +127,28 @@ def _described(features: Tensor, mixture: Tensor, wanted: Tensor) -> tuple[Tenso
 
 
 def _features(samples: Sequence[Shape]) -> Tensor:
-    """Of f_h (h, m), for every wo: what cells, then all of them, reflect, such that dot products are the norm's."""
+    """Features (h, m) of f_h whose dot products are those of the norm: for every wo, light by cells, then albedos."""
     wo, outgoing = _outgoing()
-    wi, incident = nodes(wo, FINEST, RINGS, ARCS)
+    wi, incident = nodes(wo, FINEST_ANGLE, RINGS, ARCS)
     weights = outgoing[:, None] * incident
     cells, count = _cells(wi)
-    cells = (cells + count * torch.arange(len(wo))[:, None]).flatten()
+    cells = (cells + count * torch.arange(len(wo))[:, None]).flatten()  # every wo has cells of its own
     count = count * len(wo)
-    solid = cells.bincount((weights / wi[..., 2].clamp(min=1e-9)).flatten(), count)  # angles, times outgoing
+    solid = cells.bincount((weights / wi[..., 2].clamp(min=1e-9)).flatten(), count)  # solid angles times outgoing
 
-    def seen(shape: Shape) -> Tensor:
+    def features_of(shape: Shape) -> Tensor:
         step = TURNS if shape.isotropic else 1  # the nodes turn with wo
         values = shape.evaluate(wi[::step], wo[::step, None].expand_as(wi[::step])).repeat_interleave(step, 0)
         reflected = cells.bincount((values * weights).flatten(), count)
         albedo = reflected.view(len(wo), -1).sum(1) / outgoing
-        return torch.cat((reflected / solid.sqrt().clamp(min=1e-300), ENERGY * albedo * (outgoing / math.pi).sqrt()))
+        by_cell = reflected / solid.sqrt().clamp(min=1e-300)
+        return torch.cat((by_cell, ENERGY * albedo * (outgoing / math.pi).sqrt()))
 
-    return torch.stack([seen(shape) for shape in samples])
+    return torch.stack([features_of(shape) for shape in samples])
 
 
 def _outgoing() -> tuple[Tensor, Tensor]:
-    """Outgoing directions (o, 3), and their projected solid angles (o,)."""
+    """Outgoing directions (o, 3), and the projected solid angles (o,) that they stand for."""
     sin2, weights = gauss_legendre(TILTS, torch.zeros(0).double())
     sin, turns = torch.cartesian_prod(sin2.sqrt(), torch.arange(TURNS).double() * (2 * math.pi / TURNS)).T
     wo = torch.stack((sin * turns.cos(), sin * turns.sin(), (1 - sin * sin).sqrt()), 1)
@@ -150,7 +156,7 @@ def _outgoing() -> tuple[Tensor, Tensor]:
 
 
 def _cells(wi: Tensor) -> tuple[Tensor, int]:
-    """The cells (...) of directions (..., 3), and how many there are: bands by angle, cut into arcs about as long."""
+    """The cells (...) of directions (..., 3), and their number: bands by angle, cut into arcs about as long as wide."""
     width = math.pi / 2 / BANDS
     arcs = torch.tensor([round(2 * math.pi * math.sin((k + 0.5) * width) / width) for k in range(BANDS)])
     band = (torch.acos(wi[..., 2].clamp(-1, 1)) / width).long().clamp(0, BANDS - 1)

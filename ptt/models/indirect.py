@@ -1,4 +1,4 @@
-"""How indirect light is held: lit by coarse cube maps, arriving in harmonics of the hemisphere (Sun 2007, 3.1)."""
+"""The form of indirect light: lit by coarse cube maps, arriving in harmonics of the hemisphere (Sun 2007, 3.1)."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from ptt.models.tensor_brdf import TensorBRDF
 from ptt.ops import harmonics, lobes
 from ptt.ops.sphere import Disk
 
-ORDER = 4  # of the harmonics
-COARSE = 8  # cells along an edge of the cube map that lights the first bounce
-COARSEST = 2  # and of the one that lights the second
+ORDER = 4  # of the harmonics, as in the paper
+COARSE = 8  # cells along an edge of the cube map that lights the first bounce, as in the paper
+COARSEST = 2  # cells along an edge of the cube map that lights the second bounce, as in the paper
 
 
 def blurs(angles: Sequence[float]) -> Tensor:
-    """What each lobe leaves of each harmonic (k, s), float64."""
+    """Factors (k, s), float64, by which each lobe scales each harmonic; angles (k): widths of the lobes [degrees]."""
     table = [lobes.zonal(a, ORDER)[harmonics.degrees(ORDER)] for a in angles]
     return torch.stack(table) if table else torch.zeros(0, ORDER**2, dtype=torch.float64)
 

@@ -18,28 +18,33 @@ from ptt.ops.octahedral import HemiOctahedral, Octahedral
 from ptt.ops.rotation import SAMPLES, Quantised, Resampling
 
 Operator = Literal["factored", "resample", "matrix"]
-"""factored: W_M S W_N^T, its three factors one after the other; S is kept, 4 bytes for each of about 5 reads a cell.
-resample: the same, but S is looked up anew for every light: no tables.
-matrix: R itself, the paper's, in 16 bits: about 66 numbers a cell; it alone can drop small ones."""
+"""The form of R = W_M S W_N^T.
+
+factored: the three factors, one after the other; S is kept, 4 bytes for each of about 5 reads a cell.
+resample: the same, but S is looked up anew for every light: there are no tables.
+matrix: R itself, as in the paper, in 16 bits: about 66 numbers a cell; it alone can drop small ones.
+"""
 
 KIND = "light rotation"
-BLOCK = 32  # frames whose matrices are formed at once
-LARGEST = 32767  # of a 16-bit number
+FRAMES_AT_ONCE = 32  # whose matrices are formed together: more take more memory
+LARGEST_INT16 = 32767
+# The buffers of each operator
 TABLES = {"factored": ("starts", "reads"), "resample": (), "matrix": ("starts", "columns", "numbers", "unit")}
 
 
 class LightRotation(nn.Module):
     """rotation(coefficients (c, n, n)) -> local light (f, M, c), both in Haar coefficients (`ops.haar`).
 
-    n, m: along the edges of the light's map, `Octahedral(n)`, and of the local ones, `HemiOctahedral(m)`; M = m * m
+    n: cells along an edge of the light's map, `Octahedral(n)`
+    m: cells along an edge of the local maps, `HemiOctahedral(m)`; M = m * m
     operator: "factored", "resample" or "matrix" (`Operator`)
-    samples: along the edge of a local cell, that read the light's map
+    samples: reads of the light's map along the edge of a local cell
     frames (f, 3, 3): rows tangent, bitangent, normal
     tables: those of the operator, as `build` makes them
-    normals: along the edge of the octahedral map of normals that the frames stand for; None for other frames
-    compiled: by kernels in C++; without, and wherever gradients are asked for, by torch
+    normals: cells along an edge of the octahedral map of normals that the frames stand for; None for other frames
+    compiled: says whether kernels in C++ do the work; without, torch's functions do
 
-    Differentiable in the coefficients.
+    The rotation is differentiable in the coefficients.
 
     Example:
         >>> rotate = LightRotation.build(16, normals=8)
@@ -90,14 +95,15 @@ class LightRotation(nn.Module):
         compiled: bool = True,
         progress: bool = False,
     ) -> LightRotation:
-        """Tables for a light of n * n cells, n a power of two.
+        """The rotation of a light of n * n cells, n a power of two, with the tables of an operator.
 
-        normals: along the edge of the octahedral map of normals, each with the frame of `rotation.frames_of`
+        normals: cells along an edge of the octahedral map of normals, each with the frame of `rotation.frames_of`
         frames (f, 3, 3): rows tangent, bitangent, normal, in place of those
-        m: None for n / 2, at which a local cell is as wide as 1.4 of the light's
+        m: default: n / 2, at which a local cell is as wide as 1.4 of the light's
         samples: 1..15; with 4 S has 4.8 reads a cell
-        threshold: of "matrix": numbers below it are dropped, on a scale of 32767 for the largest that can be
-        progress: a bar, for "matrix"
+        threshold: for "matrix": numbers below it are dropped, on a scale of 32767 for the largest that can be
+        compiled: as above
+        progress: show a bar, for "matrix"
 
         Raises:
             ValueError: n or m is no power of two, the operator is unknown, frames are not orthonormal, or the
@@ -111,8 +117,10 @@ class LightRotation(nn.Module):
             raise ValueError(f"operator must be one of {', '.join(get_args(Operator))}, got {operator!r}")
         if threshold < 1 or (operator != "matrix" and threshold > 1):
             raise ValueError(f'threshold must be at least 1, and is for "matrix" alone, got {threshold}')
-        given = frames is not None
-        frames = rotation.frames_of(Octahedral(normals).directions().reshape(-1, 3)) if frames is None else frames
+        sampled: int | None = None
+        if frames is None:
+            sampled = normals
+            frames = rotation.frames_of(Octahedral(normals).directions().reshape(-1, 3))
         rotation.check_frames(frames)
         tables: dict[str, Tensor] = {}
         if operator != "resample":
@@ -120,11 +128,11 @@ class LightRotation(nn.Module):
             tables = {"starts": s.starts, "reads": s.reads}
         if operator == "matrix":
             tables = _matrices(s, n, m, threshold, compiled, progress)
-        return cls(n, m, operator, samples, frames.float(), tables, None if given else normals, compiled)
+        return cls(n, m, operator, samples, frames.float(), tables, sampled, compiled)
 
     @property
     def bytes(self) -> int:
-        """Size of the tables, without the frames."""
+        """The size of the tables, without the frames."""
         tables = [self.get_buffer(name) for name in TABLES[self.operator]]
         return sum(table.numel() * table.element_size() for table in tables)
 
@@ -164,7 +172,7 @@ class LightRotation(nn.Module):
 
     @classmethod
     def load(cls, path: str | PathLike[str], compiled: bool = True) -> LightRotation:
-        """The inverse of `save`.
+        """The rotation that `save` wrote.
 
         Raises:
             ValueError: the file is missing, cut short, or holds no light rotation.
@@ -181,15 +189,15 @@ class LightRotation(nn.Module):
 
 
 def _matrices(s: Resampling, n: int, m: int, threshold: int, compiled: bool, progress: bool) -> dict[str, Tensor]:
-    """R of every frame in 16 bits, in blocks of frames."""
-    frames = (len(s.starts) - 1) // m**2
+    """The tables of "matrix": R of every frame in 16 bits, formed in blocks of frames."""
     rows = m**2
+    frames = (len(s.starts) - 1) // rows
     unit = _unit(s, n, m)
     form = native.quantised if compiled else rotation.quantised
     parts = []
     with tqdm(total=frames, desc="matrices", unit=" frames", disable=not progress) as bar:
-        for first in range(0, frames, BLOCK):
-            end = min(frames, first + BLOCK)
+        for first in range(0, frames, FRAMES_AT_ONCE):
+            end = min(frames, first + FRAMES_AT_ONCE)
             parts.append(form(s.part(first * rows, end * rows), n, m, unit, threshold))
             bar.update(end - first)
     kept = [len(part.numbers) for part in parts]
@@ -205,19 +213,23 @@ def _matrices(s: Resampling, n: int, m: int, threshold: int, compiled: bool, pro
 
 
 def _unit(s: Resampling, n: int, m: int) -> float:
-    """|R| <= |S|, whose rows sum to 1: the root of its largest column sum, over all frames, bounds every number."""
+    """The value of 1 in the 16 bits of R, such that no number overflows.
+
+    |R| <= |S|, and the rows of S sum to 1: the root of its largest column sum, over all frames, bounds every number.
+    """
     rows = m**2
-    column = torch.zeros(n * n, dtype=torch.float64)
+    largest = torch.zeros(n * n, dtype=torch.float64)  # sum of each column
     for first in range(0, len(s.starts) - 1, rows):
         some = s.part(first, first + rows)
         sums = torch.bincount(some.cells, some.weights(), minlength=n * n)
-        column = torch.maximum(column, sums)
-    return math.sqrt(float(column.max())) / LARGEST
+        largest = torch.maximum(largest, sums)
+    return math.sqrt(float(largest.max())) / LARGEST_INT16
 
 
 def _expected(config: Mapping[str, Any]) -> saved.Shapes:
+    """Types and shapes of the tensors that belong to a config."""
     sizes = config["sizes"]
-    f = config["sizes"]["frames"]
+    f = sizes["frames"]
     column = torch.int16 if config["n"] ** 2 <= 1 << 15 else torch.int32
     tables: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
         "starts": (torch.int64, (f * config["m"] ** 2 + 1,)),
@@ -230,7 +242,7 @@ def _expected(config: Mapping[str, Any]) -> saved.Shapes:
 
 
 def _check_tables(tensors: Mapping[str, Tensor], n: int, operator: Operator, samples: int) -> None:
-    """A wrong row or column would read foreign memory."""
+    """Refuse wrong rows and columns: they would read foreign memory."""
     if operator == "resample":
         return
     starts = tensors["starts"]

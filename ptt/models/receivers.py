@@ -19,11 +19,12 @@ from ptt.scene.scene import Scene
 class Receivers:
     """v points of a scene, region by region.
 
-    positions (v, 3): `Scene.points`, frames (v, 3, 3): rows tangent, bitangent, normal; local = frames @ world
+    positions (v, 3): `Scene.points`
+    frames (v, 3, 3): rows tangent, bitangent, normal; local = frames @ world
     colours (v, 3): linear base colour
-    counts: points in each region, in the order of the names
-    names, editable: of the regions
-    materials: default Material of each region
+    counts: number of points in each region, in the order of the names
+    names, editable: those of the regions
+    materials: default Material of each region, by name
     """
 
     positions: Tensor
@@ -36,21 +37,21 @@ class Receivers:
 
     @classmethod
     def of(cls, scene: Scene, index: Tensor | None = None) -> Receivers:
-        """The vertices of a scene, or those that index (v,), ascending, names."""
+        """The receivers at all vertices of a scene, or at those that index (v,), ascending, holds."""
         at = torch.arange(len(scene.vertices)) if index is None else index
         counts = torch.bincount(scene.vertex_region[at], minlength=len(scene.regions))
         return cls(
-            scene.points[at],
-            scene.frames[at],
-            scene.colours[at],
-            tuple(counts.tolist()),
-            tuple(region.name for region in scene.regions),
-            tuple(region.editable for region in scene.regions),
-            dict(scene.materials),
+            positions=scene.points[at],
+            frames=scene.frames[at],
+            colours=scene.colours[at],
+            counts=tuple(counts.tolist()),
+            names=tuple(region.name for region in scene.regions),
+            editable=tuple(region.editable for region in scene.regions),
+            materials=dict(scene.materials),
         )
 
     def part(self, rows: slice) -> Receivers:
-        """Those in a range."""
+        """The receivers in a range of rows."""
         first, end, _ = rows.indices(len(self))
         counts = tuple(max(0, min(end, b) - max(first, a)) for a, b in self.spans)
         return replace(
@@ -66,36 +67,35 @@ class Receivers:
 
     @property
     def spans(self) -> list[tuple[int, int]]:
-        """(first, end) of each region's points."""
+        """The range (first, end) of each region's points."""
         ends = torch.tensor(self.counts).cumsum(0).tolist()
         return [(end - count, end) for end, count in zip(ends, self.counts, strict=True)]
 
     def tensors(self) -> dict[str, Tensor]:
-        """What is saved beside `config()`."""
+        """The tensors that are saved beside `config()`."""
         return {"positions": self.positions, "frames": self.frames, "colours": self.colours}
 
     def config(self) -> dict[str, Any]:
-        """What is saved beside `tensors()`, as plain values."""
+        """The plain values that are saved beside `tensors()`."""
         regions = zip(self.names, self.counts, self.editable, strict=True)
-        return {
-            "regions": [
-                {"name": n, "points": c, "editable": e, "material": mat.to_config(self.materials[n])}
-                for n, c, e in regions
-            ]
-        }
+        described = []
+        for name, count, editable in regions:
+            material = mat.to_config(self.materials[name])
+            described.append({"name": name, "points": count, "editable": editable, "material": material})
+        return {"regions": described}
 
     @classmethod
     def restore(cls, config: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> Receivers:
-        """The inverse of `config` and `tensors`."""
+        """The receivers of a config and tensors: the inverse of `config` and `tensors`."""
         regions = config["regions"]
         return cls(
-            tensors["positions"],
-            tensors["frames"],
-            tensors["colours"],
-            tuple(r["points"] for r in regions),
-            tuple(r["name"] for r in regions),
-            tuple(r["editable"] for r in regions),
-            {r["name"]: mat.from_config(r["material"]) for r in regions},
+            positions=tensors["positions"],
+            frames=tensors["frames"],
+            colours=tensors["colours"],
+            counts=tuple(r["points"] for r in regions),
+            names=tuple(r["name"] for r in regions),
+            editable=tuple(r["editable"] for r in regions),
+            materials={r["name"]: mat.from_config(r["material"]) for r in regions},
         )
 
     @staticmethod

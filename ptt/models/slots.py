@@ -1,8 +1,8 @@
 """Slots: the ways light can be reflected on its path, each with one coefficient per colour (Sun 2007, section 3.1).
 
-An editable region has a slot for the diffuse function and one for each specular function of the BRDF basis; a fixed one
-has a slot for each part of the material that it has. Where the base colour varies over a region its diffuse function
-has a slot for each colour channel, and all others are monochrome: H carries the colours.
+An editable region has a slot for the diffuse function and one for each specular function of the BRDF basis; a fixed
+region has a slot for each part that its material has. Where the base colour varies over a region, its diffuse function
+has a slot for each colour channel; all other slots are monochrome, and H carries the colours.
 """
 
 from __future__ import annotations
@@ -21,7 +21,12 @@ OWN = -1  # the function of a fixed region's own shape
 
 
 class Slot(NamedTuple):
-    """region: its number; function: 0 diffuse, 1.. of the basis, or OWN; channel: 0..2, or -1 for all colours."""
+    """One way of reflecting light.
+
+    region: number of the region
+    function: 0 for the diffuse one, 1.. for those of the basis, or OWN
+    channel: colour channel 0..2, or -1 for all
+    """
 
     region: int
     function: int
@@ -29,12 +34,11 @@ class Slot(NamedTuple):
 
 
 def slots_of(receivers: Receivers, functions: int) -> list[Slot]:
-    """Those of every region, region by region, for a basis of so many specular functions."""
+    """The slots of every region, region by region, for a basis of so many specular functions."""
     found = []
-    for r, (name, editable, (first, end)) in enumerate(
-        zip(receivers.names, receivers.editable, receivers.spans, strict=True)
-    ):
-        material = receivers.materials[name]
+    for r, (first, end) in enumerate(receivers.spans):
+        material = receivers.materials[receivers.names[r]]
+        editable = receivers.editable[r]
         colours = receivers.colours[first:end]
         if editable or bool((material.diffuse > 0).any()):
             grey = bool((colours == colours[:, :1]).all())
@@ -47,16 +51,16 @@ def slots_of(receivers: Receivers, functions: int) -> list[Slot]:
 
 
 def chosen(slots: Sequence[Slot], functions: int) -> tuple[Tensor, Tensor]:
-    """For `coefficients`: rows (q,) int64 of all regions' functions, and the colour channels (q, 3) that stay."""
+    """Where `coefficients` finds slots: rows (q,) int64 of all regions' functions, and colours (q, 3) that are kept."""
     rows = [slot.region * (2 + functions) + slot.function % (2 + functions) for slot in slots]
     keep = [[float(slot.channel in (-1, c)) for c in range(3)] for slot in slots]
     return torch.tensor(rows, dtype=torch.int64), torch.tensor(keep).reshape(-1, 3)
 
 
 def functions_of(basis: BRDFBasis, material: Material, shape: Tensor | None) -> Tensor:
-    """Coefficients (1 + p + 1, 3) of a material: diffuse, those of the basis, that of its own shape.
+    """Coefficients (1 + p + 1, 3) of a material: of the diffuse function, those of the basis, and its own shape.
 
-    shape: coordinates (h,) in the space, None where the material has none
+    shape: coordinates (h,) of its shape in the space, None where it has none
     """
     diffuse = material.diffuse.to(basis.table)
     specular = material.specular.to(basis.table)
@@ -65,8 +69,8 @@ def functions_of(basis: BRDFBasis, material: Material, shape: Tensor | None) -> 
 
 
 def coefficients(slots: Sequence[Slot], basis: BRDFBasis, materials: Sequence[Material]) -> Tensor:
-    """H (q, 3), of materials in the order of the regions; differentiable in their weights and parameters."""
+    """H (q, 3) of slots, for materials in the order of the regions; differentiable in their weights and parameters."""
     shapes = [basis.space.coordinates(m.shape) if m.shape else None for m in materials]
-    functions = [functions_of(basis, *pair) for pair in zip(materials, shapes, strict=True)]
+    functions = [functions_of(basis, material, shape) for material, shape in zip(materials, shapes, strict=True)]
     rows, keep = chosen(slots, basis.table.shape[1])
     return torch.cat(functions)[rows] * keep.to(basis.table)

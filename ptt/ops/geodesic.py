@@ -32,9 +32,9 @@ from functools import cache
 import torch
 from torch import Tensor
 
+from ptt.ops.constants import ROOTS
 from ptt.ops.sphere import Grid, at_least_one, checked_directions, triangle_solid_angles, unit
 
-ROOTS = 20  # triangles of the icosahedron
 SIGNS = torch.tensor([[1, -1, -1, 1], [1, -1, 1, -1], [1, 1, -1, -1]])  # of psi_0, psi_1, psi_2 on the children
 FINEST_LEVEL = 9  # 5 million triangles
 

@@ -21,10 +21,10 @@ import torch
 from torch import Tensor
 
 from ptt.ops import harmonics
+from ptt.ops.constants import TINY
 
 ANGLES = (0.0, 7.0, 14.0, 21.0)  # degrees that three standard deviations cover
 MIRROR = 3.5  # degrees that the 0-degree lobe covers
-TINY = 1e-30  # the least divisor, so that none is 0
 ISOTROPIC = (1, 64)  # azimuths and tilts of wo at which the lobes of isotropic BRDFs are tabulated
 ANISOTROPIC = (24, 32)  # the same for other BRDFs
 

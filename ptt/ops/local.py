@@ -16,12 +16,12 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from ptt.ops.geodesic import FINEST_LEVEL, ROOTS, Geodesic
+from ptt.ops.constants import BYTE, ROOTS
+from ptt.ops.geodesic import FINEST_LEVEL, Geodesic
 from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.raycast import Surface
 
-BYTE = 255  # stands for a triangle that is seen whole
-ROUNDING = 1e-9  # a coordinate this little below 0 counts as 0, so that the planes between mirror images are kept
+ZERO_WITHIN = 1e-9  # a coordinate this little below 0 counts as 0, so that the planes between mirror images are kept
 _RAYS_AT_ONCE = 1 << 20
 _VALUES_AT_ONCE = 1 << 18  # of the BRDF: 1 MB, which stays in the cache
 
@@ -82,7 +82,7 @@ def brdf_table(
     wo = HemiOctahedral(views).directions().reshape(-1, 3)
     if not mirrored:
         return brdf(f, grid, wo, samples)
-    quarter = ((wo[:, 0] > -ROUNDING) & (wo[:, 1] > -ROUNDING)).nonzero()[:, 0]
+    quarter = ((wo[:, 0] > -ZERO_WITHIN) & (wo[:, 1] > -ZERO_WITHIN)).nonzero()[:, 0]
     found = brdf(f, grid, wo[quarter], samples)
     table = torch.empty(len(wo), grid.cells)
     for x, y in ((1, 1), (-1, 1), (1, -1), (-1, -1)):

@@ -26,6 +26,7 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor
 
+from ptt.ops.constants import TILE
 from ptt.ops.sphere import (
     Squares,
     at_least_one,
@@ -36,8 +37,6 @@ from ptt.ops.sphere import (
     triangle_solid_angles,
     unit,
 )
-
-TILE = 4  # cells along the edge of a tile: 16 cells of 4 bytes fill a cache line
 
 
 def octahedral(d: Tensor) -> Tensor:

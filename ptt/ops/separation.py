@@ -31,7 +31,8 @@ from torch import Tensor
 
 from ptt.ops import lobes
 from ptt.ops.albedo import nodes
-from ptt.ops.lobes import ANGLES, MIRROR, TINY, gaussian, mirror
+from ptt.ops.constants import TINY
+from ptt.ops.lobes import ANGLES, MIRROR, gaussian, mirror
 
 Function = Callable[[Tensor, Tensor], Tensor]
 

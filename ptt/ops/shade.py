@@ -17,7 +17,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ptt.ops.geodesic import ROOTS
+from ptt.ops.constants import ROOTS
 from ptt.ops.near import Near
 from ptt.ops.table import Table
 

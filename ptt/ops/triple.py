@@ -31,13 +31,14 @@ import torch
 from torch import Tensor
 
 from ptt.ops import geodesic
+from ptt.ops.constants import ROOTS
 from ptt.ops.haar import Truncated
 
 PAIRS = ((0, 1, 2), (0, 2, 1), (1, 2, 0))  # two of three functions, then the third
 PERMUTED = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
 
 
-def coefficient(i: int, j: int, k: int, roots: int = geodesic.ROOTS) -> float:
+def coefficient(i: int, j: int, k: int, roots: int = ROOTS) -> float:
     """C_ijk by the theorem, for basis functions at positions i, j, k of the coefficients."""
     (level, at, kind), second, third = sorted((_function(x, roots) for x in (i, j, k)), reverse=True)
     if level < 0:
@@ -49,7 +50,7 @@ def coefficient(i: int, j: int, k: int, roots: int = geodesic.ROOTS) -> float:
     return 4.0**-level * _value(third, level, at) if second[2] == kind else 0.0
 
 
-def integral(f: Tensor, g: Tensor, h: Tensor, roots: int = geodesic.ROOTS) -> Tensor:
+def integral(f: Tensor, g: Tensor, h: Tensor, roots: int = ROOTS) -> Tensor:
     """The integrals (...) of products of three functions with coefficients (..., n), in O(n)."""
     means = [x[..., :roots] for x in (f, g, h)]
     total = (means[0] * means[1] * means[2]).sum(-1)
@@ -67,7 +68,7 @@ def integral(f: Tensor, g: Tensor, h: Tensor, roots: int = geodesic.ROOTS) -> Te
     return total
 
 
-def quadrature(*values: Tensor, roots: int = geodesic.ROOTS) -> Tensor:
+def quadrature(*values: Tensor, roots: int = ROOTS) -> Tensor:
     """The integrals (...) of products of any number of functions with values (..., t) on the triangles of a level."""
     product = values[0]
     for other in values[1:]:
