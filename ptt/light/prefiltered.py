@@ -26,11 +26,8 @@ from ptt.ops.sphere import Grid
 
 FINE_SIDE = 256  # cells along an edge of the map from which lighting is read
 BLURRED_SIDE = 128  # cells along an edge of the blurred maps
-SOURCE_SIDE = {
-    7.0: 128,
-    14.0: 64,
-    21.0: 32,
-}  # and of the maps that are blurred, by the lobe [degrees]: the wider, the coarser
+# Cells along an edge of the maps that are blurred, by the lobe [degrees]: the wider the lobe, the coarser
+SOURCE_SIDE = {7.0: 128, 14.0: 64, 21.0: 32}
 
 
 class LightMaps(NamedTuple):

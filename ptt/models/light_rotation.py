@@ -27,7 +27,7 @@ matrix: R itself, as in the paper, in 16 bits: about 66 numbers a cell; it alone
 
 KIND = "light rotation"
 FRAMES_AT_ONCE = 32  # whose matrices are formed together: more take more memory
-LARGEST_INT16 = 32767
+LARGEST_INT16 = 32767  # what the largest number that R can have is stored as
 # The buffers of each operator
 TABLES = {"factored": ("starts", "reads"), "resample": (), "matrix": ("starts", "columns", "numbers", "unit")}
 

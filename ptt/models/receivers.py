@@ -17,7 +17,7 @@ from ptt.scene.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class Receivers:
-    """v points of a scene, region by region.
+    """The points of a scene that are relit, v of them, region by region.
 
     positions (v, 3): `Scene.points`
     frames (v, 3, 3): rows tangent, bitangent, normal; local = frames @ world

@@ -51,7 +51,7 @@ def slots_of(receivers: Receivers, functions: int) -> list[Slot]:
 
 
 def chosen(slots: Sequence[Slot], functions: int) -> tuple[Tensor, Tensor]:
-    """Where `coefficients` finds slots: rows (q,) int64 of all regions' functions, and colours (q, 3) that are kept."""
+    """Rows (q,) int64 of slots among the functions of all regions, and the colours (q, 3) that they keep, 1 or 0."""
     rows = [slot.region * (2 + functions) + slot.function % (2 + functions) for slot in slots]
     keep = [[float(slot.channel in (-1, c)) for c in range(3)] for slot in slots]
     return torch.tensor(rows, dtype=torch.int64), torch.tensor(keep).reshape(-1, 3)

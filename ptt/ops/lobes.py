@@ -26,7 +26,7 @@ from ptt.ops.constants import TINY
 ANGLES = (0.0, 7.0, 14.0, 21.0)  # degrees that three standard deviations cover
 MIRROR = 3.5  # degrees that the 0-degree lobe covers
 ISOTROPIC = (1, 64)  # azimuths and tilts of wo at which the lobes of isotropic BRDFs are tabulated
-ANISOTROPIC = (24, 32)  # the same for other BRDFs
+ANISOTROPIC = (24, 32)  # azimuths and tilts of wo for other BRDFs
 
 
 def evaluate(reflected: Tensor, axes: Tensor, wi: Tensor, wo: Tensor, angles: Sequence[float] = ANGLES) -> Tensor:

@@ -22,7 +22,7 @@ from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.raycast import Surface
 
 ZERO_WITHIN = 1e-9  # a coordinate this little below 0 counts as 0, so that the planes between mirror images are kept
-_RAYS_AT_ONCE = 1 << 20
+_RAYS_AT_ONCE = 1 << 20  # 24 MB of origins and directions in float32
 _VALUES_AT_ONCE = 1 << 18  # of the BRDF: 1 MB, which stays in the cache
 
 

@@ -44,7 +44,7 @@ def face_crosses(vertices: Tensor, faces: Tensor) -> Tensor:
 
 
 def sound_faces(vertices: Tensor, faces: Tensor) -> Tensor:
-    """(f,) bool: False where a triangle has collapsed to a line or a point."""
+    """Tell (f,) which triangles have an area: those that have not collapsed to a line or a point."""
     corners = vertices.double()[faces]
     longest = (corners - corners.roll(1, 1)).square().sum(-1).amax(1)
     return torch.gt(face_crosses(vertices, faces).norm(dim=1), FLAT * longest)

@@ -104,7 +104,7 @@ class _OctahedralGrid(Squares):
 
     @abstractmethod
     def _chart(self, d: Tensor) -> Tensor:
-        """(a, b) (..., 2) of directions (..., 3)."""
+        """Coordinates (a, b) (..., 2) of directions (..., 3)."""
 
     @abstractmethod
     def _octahedron_points(self, b: Tensor, a: Tensor) -> Tensor:
@@ -175,7 +175,7 @@ class HemiOctahedral(_OctahedralGrid):
 
 
 def _on_octahedron(d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """x, y, z (...) of directions (..., 3) projected to |x| + |y| + |z| = 1."""
+    """Coordinates x, y, z (...) of directions (..., 3), projected to |x| + |y| + |z| = 1."""
     x, y, z = (d / d.abs().sum(-1, keepdim=True)).unbind(-1)
     return x, y, z
 

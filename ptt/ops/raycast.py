@@ -17,9 +17,7 @@ import torch
 from torch import Tensor
 
 RAYS_PER_TASK = 1 << 17  # 3 MB of origins and directions
-OFFSET = (
-    1e-5  # origins leave the surface by this share of the scene's radius; on a unit sphere 1e-6 ended all self-hits
-)
+OFFSET = 1e-5  # of the scene's radius, by which origins leave the surface; on a unit sphere 1e-6 ended all self-hits
 
 
 class Hits(NamedTuple):
@@ -92,7 +90,7 @@ class Surface:
         return Hits(triangle, barycentric, distance, front)
 
     def _chunks(self, query: Callable[..., Any], origins: Tensor, directions: Tensor) -> list[Any]:
-        """What a query finds for each task's rays, on all cores."""
+        """The results of a query for the rays of each task, on all cores."""
 
         def run(start: int) -> Any:
             o = (origins[start : start + RAYS_PER_TASK].double() - self.centre) / self.radius

@@ -46,9 +46,7 @@ NODES = 64  # half angles of that quadrature on either side of the horizon's bou
 ARCS = {True: 16, False: 32}  # azimuths of that quadrature, by whether the BRDF is isotropic
 MIXTURE_STEPS = 24  # updates of the mixture of leaning Gaussians (step 3)
 LEAST = 1e-3  # share of the light below which a lobe is dropped, so that it need not be looked up
-PRIOR = (
-    0.001  # share of the light that each lobe finds about the mirror direction, too: it holds axes of weak lobes still
-)
+PRIOR = 0.001  # share of the light that each lobe counts besides about the mirror direction: it steadies weak axes
 
 
 class SeparatedLobes(NamedTuple):

@@ -104,7 +104,7 @@ class Squares(Grid):
         return torch.cat(list(self._strips_of_means(function, k, chunk)), dim=len(self.shape) - 2)
 
     def _strips_of_means(self, function: _Function, k: int, chunk: int) -> Iterator[Tensor]:
-        """`means` of some rows of cells after the other."""
+        """The means of the cells, some rows after the other, for `means`."""
         fine = self.refine(k)
         assert isinstance(fine, Squares)
         rows, columns = fine._edges()

@@ -35,7 +35,7 @@ from ptt.ops.constants import ROOTS
 from ptt.ops.haar import Truncated
 
 PAIRS = ((0, 1, 2), (0, 2, 1), (1, 2, 0))  # two of three functions, then the third
-PERMUTED = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
+PERMUTED = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))  # the six orders of three types
 
 
 def coefficient(i: int, j: int, k: int, roots: int = ROOTS) -> float:

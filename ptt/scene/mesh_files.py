@@ -33,7 +33,7 @@ from ptt.materials.material import Material, blinn_phong
 from ptt.ops import mesh
 from ptt.scene.parts import Part, join, transformed
 
-FORMATS = (".ply", ".obj", ".stl", ".gltf", ".glb")
+FORMATS = (".ply", ".obj", ".stl", ".gltf", ".glb")  # endings of files that are read
 GLTF = (".gltf", ".glb")
 EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")  # Pillow's modes of at most 8 bits a channel
 EXPONENTS = (1.0, 200.0)  # the range of `BRDFSpace.blinn_phong`, in which exponents from files are kept

@@ -48,7 +48,7 @@ class PreparedPart:
 
 
 def default_material(coloured: bool = False) -> Material:
-    """What a region without a material gets: a little gloss over grey, or over its own base colour."""
+    """The material of a region that has none: a little gloss over grey, or over its own base colour."""
     return blinn_phong(0.96 if coloured else 0.6, 0.04, 20.0)
 
 
@@ -135,7 +135,7 @@ def _rows(name: str, value: Tensor, shape: tuple[int, int], finite: bool = True)
 
 
 def join(name: str, parts: Sequence[Part]) -> Part:
-    """One part of several that look alike; attributes that only some have are dropped.
+    """The union of parts that look alike; attributes that only some have are dropped.
 
     Raises:
         ValueError: their materials or textures differ.

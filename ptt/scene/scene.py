@@ -83,7 +83,7 @@ class Scene:
         material: None for `ptt.scene.parts.default_material`
 
         Raises:
-            ValueError: as `from_parts`.
+            ValueError: for the reasons of `from_parts`.
         """
         return cls.from_parts([Part(name, vertices, faces, normals, uv, colours, texture, material)])
 

@@ -59,7 +59,7 @@ SHAPES: dict[str, Callable[..., tuple[Tensor, Tensor]]] = {
     "torus": mesh.torus_mesh,
 }
 MOST_TRIANGLES = 10_000_000  # `edge` may make in one region: more is taken for a mistake
-PLACING = ("scale", "rotate", "translate")
+PLACING = ("scale", "rotate", "translate")  # keys that place a region, in the order in which they act
 REGION = ("name", "mesh", *SHAPES, "parts", *PLACING, "subdivide", "edge", "editable", "texture", "material")
 
 
@@ -214,7 +214,7 @@ def _check_keys(place: str, keys: Iterable[str], valid: Iterable[str]) -> None:
 
 
 def _call(place: str, make: Callable[..., T], table: Mapping[str, Any]) -> T:
-    """make(**table), refusing arguments that it does not have, or whose values are of the wrong kind."""
+    """The result of make(**table); arguments that it does not have, or of the wrong kind, are refused."""
     _check_keys(place, table, inspect.signature(make).parameters)
     try:
         return make(**table)

@@ -30,9 +30,7 @@ ALWAYS = 1e9  # weight of the faces' means, so large that they are always kept
 AXES = 128  # at most, of the lighting of T1: more take more memory and leave less error
 FEWEST_AXES = 32  # with fewer the memory allowed is refused as too little
 SAMPLED_POINTS = 768  # whose T1 decides the axes
-LARGEST_STORED = (
-    1e3  # what the largest T1 is scaled to: float16 ends at 65,504, and points that are not sampled may have more
-)
+LARGEST_STORED = 1e3  # of T1 in the sample, after scaling: float16 ends at 65,504, and other points may have more
 TYPICAL = 0.5  # weight of a typical material's diffuse part, and of its specular one, where nothing is known of either
 MEMORY_SHARE = 0.5  # of the memory allowed, which T1 and T2 may fill
 
@@ -66,7 +64,7 @@ class IndirectTransfer(NamedTuple):
 
 
 class PictureWeights(NamedTuple):
-    """How much each part of the transfer adds to the picture.
+    """Weights of the parts of the transfer: how much each adds to the picture.
 
     factors (1 + i,), light (l,): those of T0's factors and coefficients
     slots (q,), harmonics (s,): those of T1's slots and harmonics

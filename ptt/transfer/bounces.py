@@ -103,7 +103,7 @@ class Reflector:
 
 
 class Bounces:
-    """All that light is reflected by on its way: made once, then asked for T1 and T2 of some points at a time.
+    """The surfaces that reflect light on its way: made once, they give T1 and T2 of some points at a time.
 
     t0 (v, 1 + i, l): direct transfer to every vertex, in the coarse Haar basis (flattened)
     cuts (v, cells, k) uint8: fractional visibility of the lobes (`transfer.lobe_visibility`)

@@ -33,7 +33,7 @@ DEPENDENT = 1e-6  # an eigenvector whose part at right angles to those before it
 
 @dataclass(frozen=True)
 class Clusters:
-    """How points share eigen-points.
+    """The settings of clusters: how points share eigen-points.
 
     points: points of a cluster, on average; the paper has 1,000
     eigenvectors: eigenvectors of each cluster; the paper has 32
