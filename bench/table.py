@@ -105,7 +105,7 @@ def _markdown(head: list[str], cells: list[list[str]]) -> list[str]:
 
 
 def main() -> None:
-    for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+    for path in [ROOT / "README.md", *(ROOT / "docs").glob("**/*.md")]:
         path.write_text(draw(path.read_text()))
 
 

@@ -23,7 +23,7 @@ def test_examples_run(name: str) -> None:
     assert result.attempted and not result.failed
 
 
-@pytest.mark.parametrize("path", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))], ids=lambda p: p.name)
+@pytest.mark.parametrize("path", [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))], ids=lambda p: p.name)
 def test_tables_are_drawn_from_the_results(path: Path) -> None:
     text = path.read_text()
     assert table.draw(text) == text, "run: python -m bench.table"

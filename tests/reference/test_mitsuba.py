@@ -22,7 +22,7 @@ def noise_map() -> Environment:
 
 
 def test_mitsuba_is_given_the_same_light() -> None:
-    """Even white noise: 2 H + 1 rows hold the knots of our interpolant; float32 lookups are good to 1e-4."""
+    """Even white noise: 2 H + 1 rows hold the knots of our interpolant; float32 lookups are accurate to 1e-4."""
     environment = noise_map()
     light = mi_load(mitsuba_check.mitsuba_light(environment))
     directions = torch.randn(300, 3, generator=torch.Generator().manual_seed(1))
