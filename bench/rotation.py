@@ -194,7 +194,7 @@ def forms(table: Table, scene: ptt.Scene, light: ptt.Environment, n: int) -> Non
     args = relighter.incident(light).local, cut, slices.first_slice(cut, at.twist), relighter.rotation.frames, at
 
     def whole(
-        local: Tensor, cut: slices.Slices, first: Tensor, frames: Tensor, at: slices.Located, eye: Tensor
+        local: Tensor, cut: slices.Slices, first: Tensor, frames: Tensor, at: slices.NormalLookup, eye: Tensor
     ) -> Tensor:
         which = first + slices._view_cell(cut.views, frames, at, eye)
         values = cut.values[which].float() * at.weights[..., None]

@@ -6,7 +6,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, overload
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -97,12 +97,6 @@ def ggx(diffuse: Colour = 0.5, specular: Colour = 1.0, f0: Number = 0.04, roughn
     return Material(diffuse, specular, GGX(f0, roughness))
 
 
-@overload
-def materials_of_regions(own: Mapping[str, Material], given: Mapping[str, Material]) -> dict[str, Material]: ...
-@overload
-def materials_of_regions(
-    own: Mapping[str, Material], given: Mapping[str, Material | Mixed], mixed: Literal[True]
-) -> dict[str, Material | Mixed]: ...
 def materials_of_regions(own: Mapping[str, Any], given: Mapping[str, Any], mixed: bool = False) -> dict[str, Any]:
     """The material of every region, by name and in the order of `own`: the given one, else its own.
 

@@ -10,6 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from ptt.ops.compiling import opaque, uncompiled
+
 SMALL = 64  # tensors of up to this many elements are compared by value
 
 
@@ -26,6 +28,7 @@ class Watch:
         return all(map(operator.is_, self.tensors, other.tensors))
 
 
+@opaque
 def watched(*modules: nn.Module) -> Watch:
     """The buffers of modules, without those of modules inside of them."""
     return Watch(buffer for part in modules for buffer in part._buffers.values() if buffer is not None)
@@ -38,21 +41,35 @@ class Cache:
         self._stamp: Any = None
         self._result: Any = None
 
+    @uncompiled
     def __call__(self, inputs: Any, compute: Callable[[], Any]) -> Any:
         """`compute()`, or its last result if `inputs` (tensors, `Watch`, dataclasses, mappings, values) are the same.
 
         Results that carry gradients or were made from inference tensors are not kept: their graph serves once.
         """
-        leaves: list[Tensor] = []
-        stamp = _stamp(inputs, leaves)
-        recorded = torch.is_grad_enabled()
-        if any([t.is_inference() or (recorded and t.requires_grad) for t in leaves]):
+        stamp = _stamp_of(inputs)
+        if stamp is None:
             return compute()
-        stamp = (stamp, torch.is_inference_mode_enabled())
-        if self._stamp != stamp:
+        if not _same(self._stamp, stamp):
             self._result = compute()
             self._stamp = stamp
         return self._result
+
+
+@opaque
+def _stamp_of(inputs: Any) -> Any:
+    """What tells inputs from others; None where they carry gradients or are inference tensors."""
+    leaves: list[Tensor] = []
+    stamp = _stamp(inputs, leaves)
+    recorded = torch.is_grad_enabled()
+    if any([t.is_inference() or (recorded and t.requires_grad) for t in leaves]):
+        return None
+    return stamp, torch.is_inference_mode_enabled()
+
+
+@opaque
+def _same(kept: Any, stamp: Any) -> bool:
+    return bool(kept == stamp)
 
 
 def _stamp(value: Any, leaves: list[Tensor]) -> Any:

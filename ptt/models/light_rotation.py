@@ -13,7 +13,8 @@ from tqdm import tqdm
 
 from ptt.io import saved
 from ptt.models.cache import Cache, watched
-from ptt.ops import native, rotation
+from ptt.ops import native, plain, rotation
+from ptt.ops.compiling import opaque, uncompiled
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
 from ptt.ops.rotation import SAMPLES, Quantised, Resampling
 
@@ -136,29 +137,41 @@ class LightRotation(nn.Module):
         tables = [self.get_buffer(name) for name in TABLES[self.operator]]
         return sum(table.numel() * table.element_size() for table in tables)
 
+    @uncompiled
     def forward(self, coefficients: Tensor) -> Tensor:
         """Local light (f, M, c) of a light (c, n, n), float32 or float64; 16-bit types are computed in float32.
 
         Raises:
             ValueError: coefficients have another shape or are not finite.
         """
-        if coefficients.ndim != 3 or coefficients.shape[1:] != (self.n, self.n):
-            raise ValueError(f"coefficients must be (c, {self.n}, {self.n}), got {tuple(coefficients.shape)}")
-        if not bool(coefficients.isfinite().all()):
-            raise ValueError("coefficients must be finite")
+        self._check(coefficients)
         light = coefficients.float() if coefficients.dtype.itemsize < 4 else coefficients
-        ops = native if self.compiled else rotation
+        return self._by_matrix(light) if self.operator == "matrix" else self._by_resampling(light)
+
+    def _by_resampling(self, light: Tensor) -> Tensor:
+        """W_M S W_N^T L."""
+        ops = native if self.compiled else plain
         if self.operator == "resample":
             local: Tensor = ops.resampled_light(light, self.frames, HemiOctahedral(self.m), self.samples)
             return local
-        if self.operator == "factored":
-            local = ops.local_light(light, Resampling(self.starts, self.reads, self.samples), self.m)
-            return local
+        local = ops.local_light(light, Resampling(self.starts, self.reads, self.samples), self.m)
+        return local
+
+    @uncompiled
+    def _by_matrix(self, light: Tensor) -> Tensor:
+        """R L."""
         matrix = Quantised(self.starts, self.columns, self.numbers, float(self.unit))
         if self.compiled and not (torch.is_grad_enabled() and light.requires_grad):
             return native.rotated_light(light, matrix, self.m)
         csr: Tensor = self._csr((watched(self), light.dtype), lambda: matrix.to_csr(self.n**2, light.dtype))
         return rotation.rotated_light(light, csr, self.m)
+
+    @opaque
+    def _check(self, coefficients: Tensor) -> None:
+        if coefficients.ndim != 3 or coefficients.shape[1:] != (self.n, self.n):
+            raise ValueError(f"coefficients must be (c, {self.n}, {self.n}), got {tuple(coefficients.shape)}")
+        if not bool(coefficients.isfinite().all()):
+            raise ValueError("coefficients must be finite")
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write a safetensors file, tables and all.

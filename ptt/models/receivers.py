@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Any
 
 import torch
@@ -68,7 +69,7 @@ class Receivers:
     @property
     def spans(self) -> list[tuple[int, int]]:
         """The range (first, end) of each region's points."""
-        ends = torch.tensor(self.counts).cumsum(0).tolist()
+        ends = accumulate(self.counts)
         return [(end - count, end) for end, count in zip(ends, self.counts, strict=True)]
 
     def tensors(self) -> dict[str, Tensor]:

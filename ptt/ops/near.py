@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ptt.ops import slices
 from ptt.ops.octahedral import corners, hemi_octahedral
+from ptt.ops.sphere import toward
 
 
 class Near(NamedTuple):
@@ -55,8 +56,7 @@ def of_views(frames: Tensor, positions: Tensor, eye: Tensor, views: int) -> Near
     eye (p, 3): the directions themselves, in place of an eye, of any length; one that is zero stands for up
     Those below the horizon have what their mirror images above have.
     """
-    away = eye - positions if eye.ndim == 1 else eye
-    local = torch.einsum("pax,px->pa", frames, away)
+    local = torch.einsum("pax,px->pa", frames, toward(eye, positions))
     local = torch.where((local == 0).all(1, keepdim=True), local.new_tensor([0.0, 0.0, 1.0]), local)
     cells, weights = corners(hemi_octahedral(local), views, wrap=False)
     return Near(cells.int(), weights)

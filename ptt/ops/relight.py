@@ -16,21 +16,18 @@ Points are innermost everywhere and the small axes stay outside.
 from __future__ import annotations
 
 import math
-import warnings
-from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeVar
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from ptt.ops import haar
+from ptt.ops.constants import TINY
 from ptt.ops.octahedral import corners, mix, octahedral
 
-T = TypeVar("T")
-TINY = 1e-30
 
-
-class Sent(NamedTuple):
+class OutgoingLight(NamedTuple):
     """What points in blocks send out: values (b, c, x, w), maybe in 16 bits, times the unit (b,) of each block."""
 
     values: Tensor
@@ -79,7 +76,7 @@ def light_eigen(transfer: Tensor, lighting: Tensor, columns: Tensor | None = Non
     return torch.matmul((lighting / scale).to(transfer.dtype), transfer).to(lighting.dtype) * scale
 
 
-class Arriving(NamedTuple):
+class ArrivingLight(NamedTuple):
     """At the eigen-points of a region under one light: U0 (k, c, e, 1 + i), U1 (k, c, q, e, s), U2 (k, c, pairs, e)."""
 
     direct: Tensor
@@ -94,7 +91,9 @@ class Responses(NamedTuple):
     to_harmonics: Tensor
 
 
-def eigen(arriving: Arriving, h: Tensor, pairs: Tensor, coupling: Tensor, responses: Responses, glossy: bool) -> Tensor:
+def eigen(
+    arriving: ArrivingLight, h: Tensor, pairs: Tensor, coupling: Tensor, responses: Responses, glossy: bool
+) -> Tensor:
     """Q, and then I if glossy, (k, c, e, 1 + o + s), of eigen-points; s = 0 where no light is reflected to them.
 
     h (c, q): H of the slots that U1 is for; pairs (c, pairs): their products for U2; coupling (c, 1 + o, 1 + i): M
@@ -110,24 +109,12 @@ def eigen(arriving: Arriving, h: Tensor, pairs: Tensor, coupling: Tensor, respon
     return torch.cat((sent, light @ responses.to_harmonics), 3) if glossy else sent
 
 
-def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Sent:
+def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> OutgoingLight:
     """Values (b, c, x, w) of points from those of eigen-points (k, c, e, x), weights (b, e, w) and cluster (b,)."""
     rows = eigen.transpose(2, 3).flatten(1, 2).index_select(0, cluster)  # shape: (b, c * x, e)
-    return Sent((rows @ weights).unflatten(1, (eigen.shape[1], eigen.shape[3])), eigen.new_ones(len(cluster)))
+    return OutgoingLight((rows @ weights).unflatten(1, (eigen.shape[1], eigen.shape[3])), eigen.new_ones(len(cluster)))
 
 
 def view_step(outgoing: Tensor, sent: Tensor) -> Tensor:
     """B (v, c) from V (o, v) and Q (c, o, v)."""
     return (outgoing * sent).sum(1).T.contiguous()
-
-
-def compiled(function: Callable[..., T]) -> Callable[..., T]:
-    """`torch.compile(function)`, or the function itself, with a warning, where there is no C++ compiler."""
-    from torch._inductor.cpp_builder import get_cpp_compiler
-
-    try:
-        get_cpp_compiler()
-    except Exception as error:  # torch has a class of its own for it, in a private place
-        warnings.warn(f"no C++ compiler, relighting stays eager: {error}", UserWarning, stacklevel=3)
-        return function
-    return torch.compile(function)

@@ -40,7 +40,7 @@ class Functions(NamedTuple):
     glossy: Table
 
 
-class Coats(NamedTuple):
+class RegionCoats(NamedTuple):
     """What r regions are coated with, i of them (1 or 2) on each.
 
     diffuse, specular (i, r, c)
@@ -52,7 +52,7 @@ class Coats(NamedTuple):
     first: Tensor
 
 
-class Points(NamedTuple):
+class ShadedPoints(NamedTuple):
     """p points.
 
     light, seen, view: where their light, visibility and BRDF are found; the rows of `view` are those of the first shape
@@ -66,13 +66,13 @@ class Points(NamedTuple):
     colour: Tensor
     second: Tensor
 
-    def part(self, first: int, end: int) -> Points:
+    def part(self, first: int, end: int) -> ShadedPoints:
         """Points first..end-1."""
         light, seen, view = (Near(*(x[first:end] for x in near)) for near in self[:3])
-        return Points(light, seen, view, *(x[first:end] for x in self[3:]))
+        return ShadedPoints(light, seen, view, *(x[first:end] for x in self[3:]))
 
 
-def shade(functions: Functions, coats: Coats, at: Points) -> Tensor:
+def shade(functions: Functions, coats: RegionCoats, at: ShadedPoints) -> Tensor:
     """B (p, c); differentiable in the light, the weights and the colours."""
     n = functions.dull.shape[0]
     count = len(at.region)
@@ -80,7 +80,7 @@ def shade(functions: Functions, coats: Coats, at: Points) -> Tensor:
     return torch.cat([_shaded(functions, coats, at.part(k, k + step)) for k in range(0, max(1, count), step)])
 
 
-def _shaded(functions: Functions, coats: Coats, at: Points) -> Tensor:
+def _shaded(functions: Functions, coats: RegionCoats, at: ShadedPoints) -> Tensor:
     light, visibility, dull, glossy = functions
     region = at.region.long()
     factor = torch.zeros(())

@@ -22,10 +22,10 @@ from torch import Tensor
 
 from ptt.ops import haar, tucker
 from ptt.ops.octahedral import HemiOctahedral, corners, hemi_octahedral, octahedral
+from ptt.ops.sphere import toward
 
 BRDF = Callable[[Tensor, Tensor], Tensor]  # f(wi, wo): (..., 3), (..., 3) -> (...) [1/sr]
 ALIGNED = 16  # points, and terms, come in multiples of it
-TINY = 1e-30
 _VALUES = 1 << 22  # a block, of BRDF values or of products
 
 
@@ -102,7 +102,7 @@ class Slices(NamedTuple):
         return made
 
 
-class Located(NamedTuple):
+class NormalLookup(NamedTuple):
     """Points among the sampled normals; v is a multiple of `ALIGNED`.
 
     position, normal (3, v)
@@ -117,14 +117,14 @@ class Located(NamedTuple):
     twist: Tensor
 
 
-def located(position: Tensor, frames: Tensor, sampled: Tensor) -> Located:
+def located(position: Tensor, frames: Tensor, sampled: Tensor) -> NormalLookup:
     """Points (v, 3) with frames (v, 3, 3) among those (n * n, 3, 3) of the normals `Octahedral(n).directions()`."""
     normal = frames[:, 2]
     tangent = frames[:, 0]
     near, weights = corners(octahedral(normal), math.isqrt(len(sampled)), wrap=True)
     around = sampled.to(frames)[near]  # shape: (v, 4, 3, 3)
     x, y, _ = torch.einsum("vkax,vkx->akv", around, _leaned(tangent[:, None], normal[:, None], around[:, :, 2]))
-    return Located(
+    return NormalLookup(
         position.T.contiguous(),
         normal.T.contiguous(),
         near.T.int().contiguous(),
@@ -194,7 +194,7 @@ def project(light: Tensor, slices: Slices) -> Tensor:
     return light if slices.basis is None else slices.basis @ light
 
 
-def reflected(light: Tensor, slices: Slices, first: Tensor, frames: Tensor, at: Located, eye: Tensor) -> Tensor:
+def reflected(light: Tensor, slices: Slices, first: Tensor, frames: Tensor, at: NormalLookup, eye: Tensor) -> Tensor:
     """B (v, c) of points, of local light (f, x, c) as `project` gives it, in frames (f, 3, 3).
 
     first (4, v) int32: the first slice of each point's twist (`first_slice`)
@@ -210,11 +210,10 @@ def reflected(light: Tensor, slices: Slices, first: Tensor, frames: Tensor, at: 
     return torch.cat(parts)
 
 
-def _view_cell(views: int, frames: Tensor, at: Located, eye: Tensor) -> Tensor:
+def _view_cell(views: int, frames: Tensor, at: NormalLookup, eye: Tensor) -> Tensor:
     """Cells (4, v) of the directions that each normal mirrors to where the point mirrors the viewer."""
-    toward = eye if eye.ndim == 2 else eye[:, None] - at.position
-    toward = toward / toward.norm(dim=0).clamp(min=TINY)
-    mirrored = 2 * (at.normal * toward).sum(0).clamp(min=0) * at.normal - toward
+    wo = toward(eye, at.position, 0)
+    mirrored = 2 * (at.normal * wo).sum(0).clamp(min=0) * at.normal - wo
     x, y, z = torch.einsum("kvax,xv->akv", frames[at.near.long()], mirrored)
     ab = hemi_octahedral(torch.stack((-x, -y, z.abs()), -1))
     column, row = (((ab + 1) * (views / 2)).long().clamp(0, views - 1)).unbind(-1)

@@ -23,6 +23,8 @@ from math import cos, pi, prod, radians, sin
 import torch
 from torch import Tensor
 
+from ptt.ops.constants import TINY
+
 _Function = Callable[[Tensor], Tensor]
 
 
@@ -397,3 +399,16 @@ def at_least_one(name: str, value: int) -> int:
     if value < 1:
         raise ValueError(f"{name} must be at least 1, got {value}")
     return value
+
+
+def toward(eye: Tensor, positions: Tensor, axis: int = -1) -> Tensor:
+    """Unit directions from positions, whose coordinates lie along an axis, to an eye (3,).
+
+    An eye of the shape of the positions holds the directions themselves. A position in the eye has the direction 0.
+    """
+    if eye.ndim == 1:
+        shape = [1] * positions.ndim
+        shape[axis] = 3
+        eye = eye.reshape(shape) - positions
+    directions: Tensor = eye / eye.norm(dim=axis, keepdim=True).clamp(min=TINY)
+    return directions

@@ -7,8 +7,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ptt.ops.constants import TINY
+
 LARGEST = {torch.float16: 32.0, torch.uint8: 255.0}  # of a row as it is stored: sums of products stay within float16
-TINY = 1e-30
 
 
 class Table(NamedTuple):

@@ -23,13 +23,13 @@ from torch import Tensor
 
 from ptt.ops import harmonics, lobes
 from ptt.ops.octahedral import corners, hemi_octahedral, mix, octahedral, tiles
-from ptt.ops.relight import Sent
+from ptt.ops.relight import OutgoingLight
+from ptt.ops.sphere import toward
 
 BYTE = 255.0
-NEAR = 1e-12  # an eye in a point looks along its normal
 
 
-class Points(NamedTuple):
+class SurfaceBlocks(NamedTuple):
     """Of a region, in blocks.
 
     position (3, n); frame (3, 3, n): rows tangent, bitangent, normal; colour (3, n) of the surface, None for white
@@ -44,7 +44,7 @@ class Points(NamedTuple):
     place: Tensor
 
 
-class Gloss(NamedTuple):
+class LitLobes(NamedTuple):
     """The lobes of a region's material, k of them.
 
     which (k,) int64: of the bytes of the cuts; rho (turns * tilts, k); axes (tilts, 2 k): along, then up (`lobes.lean`)
@@ -63,26 +63,28 @@ class Gloss(NamedTuple):
     blurs: Tensor
 
 
-class Seen(NamedTuple):
+class ViewedRegion(NamedTuple):
     """What is seen of a region.
 
     points; eye (3,), or unit directions (3, n) to it
     sent: values (b, c, 1 + o + s, w), Q, then I; s = 0 where no lobe is lit by it
-    gloss: None for a material without lobes
+    lobes: None for a material without lobes
     """
 
-    points: Points
+    points: SurfaceBlocks
     eye: Tensor
-    sent: Sent
-    gloss: Gloss | None
+    sent: OutgoingLight
+    lobes: LitLobes | None
 
 
-def view(regions: Sequence[Seen], outgoing: Tensor) -> Tensor:
+def view(regions: Sequence[ViewedRegion], outgoing: Tensor) -> Tensor:
     """B (v, c) of the points of all regions; outgoing (cells, o): V without the diffuse factor, on the disk grid."""
     return torch.cat([_radiance(*region, outgoing) for region in regions])
 
 
-def _radiance(points: Points, eye: Tensor, sent: Sent, gloss: Gloss | None, outgoing: Tensor) -> Tensor:
+def _radiance(
+    points: SurfaceBlocks, eye: Tensor, sent: OutgoingLight, gloss: LitLobes | None, outgoing: Tensor
+) -> Tensor:
     wo = _toward(points, eye)
     values = sent.values.to(outgoing.dtype)
     o = 1 + outgoing.shape[1]
@@ -107,12 +109,11 @@ def _radiance(points: Points, eye: Tensor, sent: Sent, gloss: Gloss | None, outg
     return out.transpose(1, 2).flatten(0, 1).index_select(0, points.place)
 
 
-def _toward(points: Points, eye: Tensor) -> Tensor:
-    """Local directions to the eye (3, n)."""
-    if eye.ndim == 1:
-        away = eye[:, None] - points.position + NEAR * points.frame[2]
-        eye = away * away.square().sum(0).clamp(min=1e-30).rsqrt()
-    return (points.frame * eye).sum(1)
+def _toward(points: SurfaceBlocks, eye: Tensor) -> Tensor:
+    """Local directions (3, n) to the eye."""
+    local = (points.frame * toward(eye, points.position, 0)).sum(1)
+    here = (local == 0).all(0)  # an eye in a point looks along its normal
+    return torch.cat((local[:2], (local[2] + here.to(local))[None]))
 
 
 def light_about(maps: Tensor, axes: Tensor) -> Tensor:

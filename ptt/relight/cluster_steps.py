@@ -2,52 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from ptt.light import prefiltered as light_maps
 from ptt.light.environment import Environment
-from ptt.light.prefiltered import LightMaps
 from ptt.materials.material import Material
 from ptt.models import slots
 from ptt.models.cache import Cache, watched
+from ptt.models.clustered_transfer import ClusteredTransfer
 from ptt.models.indirect import COARSE, COARSEST, ORDER, blurs, responses
 from ptt.models.transfer_model import TransferModel
-from ptt.ops import harmonics, native, relight
-from ptt.ops.relight import Arriving, Responses, Sent
-from ptt.ops.view import Gloss, Points, Seen, view
+from ptt.ops import harmonics
+from ptt.ops.compiling import opaque, uncompiled
+from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
+from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion
+from ptt.relight.light_step import LightStep
+from ptt.relight.operations import operations
 
-DULL = 1e-4  # a lobe that reflects no more than this is left out
-
-
-class Operations(NamedTuple):
-    """What the steps are made of."""
-
-    lighting: Callable[..., Tensor]
-    light_eigen: Callable[..., Tensor]
-    eigen: Callable[..., Tensor]
-    expand: Callable[..., Sent]
-    view: Callable[..., Tensor]
+DULL = 1e-4
+"""A lobe that reflects no more than this is left out: a hundredth of what eight bits of visibility resolve."""
 
 
-PLAIN = Operations(relight.lighting, relight.light_eigen, relight.eigen, relight.expand, view)
-NATIVE = Operations(native.lighting, native.light_eigen, native.eigen, native.expand, native.view)
-
-
-class Lit(NamedTuple):
+class ClusterLight(NamedTuple):
     """Under one light: what arrives in every region; the blurred maps (k, cells, 4), and the turn of the light."""
 
-    arriving: list[Arriving]
+    arriving: list[ArrivingLight]
     maps: Tensor
     turn: Tensor
 
 
-class Lobes(NamedTuple):
-    """Those that a material has: `Gloss` without the light."""
+class MaterialLobes(NamedTuple):
+    """The lobes that a material has: `LitLobes` without the light."""
 
     which: Tensor
     rho: Tensor
@@ -56,19 +45,47 @@ class Lobes(NamedTuple):
     blurs: Tensor
 
 
-class Dressed(NamedTuple):
+class RegionMaterial(NamedTuple):
     """A region's material: its part of H (1 + p + 1, c), M (c, 1 + o, 1 + i), its lobes."""
 
     functions: Tensor
     coupling: Tensor
-    lobes: Lobes | None
+    lobes: MaterialLobes | None
 
 
-class Exitant(NamedTuple):
-    """With materials: Q and I (b, c, 1 + o + s, w) and the lobes of every region."""
+class ClusterExitant(NamedTuple):
+    """With materials: Q and I (b, c, 1 + o + s, w) and the lobes of every region; V (cells, o) on the disk grid."""
 
-    sent: list[Sent]
-    gloss: list[Gloss | None]
+    sent: list[OutgoingLight]
+    lobes: list[LitLobes | None]
+    outgoing: Tensor
+
+
+class RegionPoints(nn.Module):
+    """The points of one region in blocks, and which slots light them.
+
+    slots (q,), pairs (pairs, 2) int64: positions in the model's list of slots
+    position (3, n), frame (3, 3, n), colour (3, n), None where it is white: of n = blocks * width points
+    """
+
+    slots: Tensor
+    pairs: Tensor
+    position: Tensor
+    frame: Tensor
+    colour: Tensor | None
+
+    def __init__(self, region: ClusteredTransfer, positions: Tensor, frames: Tensor, colours: Tensor) -> None:
+        super().__init__()
+        white = not bool((colours != 1).any())
+        tensors = {
+            "slots": torch.tensor(region.slots, dtype=torch.int64),
+            "pairs": torch.tensor(region.pairs, dtype=torch.int64).reshape(-1, 2),
+            "position": region.in_line(positions),
+            "frame": region.in_line(frames),
+            "colour": None if white else region.in_line(colours),
+        }
+        for name, tensor in tensors.items():
+            self.register_buffer(name, tensor, persistent=False)
 
 
 class ClusterSteps(nn.Module):
@@ -77,8 +94,6 @@ class ClusterSteps(nn.Module):
     to_factors: Tensor
     to_harmonics: Tensor
     blurs: Tensor
-    directions: Tensor
-    shares: Tensor
     rows: Tensor
     keep: Tensor
 
@@ -87,105 +102,126 @@ class ClusterSteps(nn.Module):
         assert model.basis is not None
         self.model = model
         self.basis = model.basis
-        self.register_buffer("to_factors", responses(model.brdf), persistent=False)
-        self.register_buffer("to_harmonics", harmonics.hemispherical(ORDER).float(), persistent=False)
-        self.register_buffer("blurs", blurs(model.brdf.angles).float(), persistent=False)
-        for r, (region, (first, end)) in enumerate(zip(model.clustered, model.receivers.spans, strict=True)):
-            own = slice(first, end)
-            pairs = torch.tensor(region.pairs, dtype=torch.int64).reshape(-1, 2)
-            self.register_buffer(f"slots{r}", torch.tensor(region.slots, dtype=torch.int64), persistent=False)
-            self.register_buffer(f"pairs{r}", pairs, persistent=False)
-            self.register_buffer(f"position{r}", region.in_line(model.positions[own]), persistent=False)
-            self.register_buffer(f"frame{r}", region.in_line(model.frames[own]), persistent=False)
-            colours = model.colours[own]
-            if bool((colours != 1).any()):
-                self.register_buffer(f"colour{r}", region.in_line(colours), persistent=False)
-        for name, samples in zip(("directions", "shares"), light_maps.samples(model.grid), strict=True):
-            self.register_buffer(name, samples, persistent=False)
-        for name, chosen in zip(("rows", "keep"), slots.chosen(model.slots, model.basis.table.shape[1]), strict=True):
-            self.register_buffer(name, chosen, persistent=False)
-        self._prepared = Cache()
-        self._outgoing = Cache()
+        self.light = LightStep(model.grid, model.brdf.angles, compiled)
+        rows, keep = slots.chosen(model.slots, model.basis.table.shape[1])
+        tensors = {
+            "to_factors": responses(model.brdf),
+            "to_harmonics": harmonics.hemispherical(ORDER).float(),
+            "blurs": blurs(model.brdf.angles).float(),
+            "rows": rows,
+            "keep": keep,
+        }
+        for name, tensor in tensors.items():
+            self.register_buffer(name, tensor, persistent=False)
+        self.points = [
+            RegionPoints(region, model.positions[own], model.frames[own], model.colours[own])
+            for region, own in zip(model.clustered, self._rows(), strict=True)
+        ]
+        self.regions = nn.ModuleList(self.points)
         self._materials = [Cache() for _ in model.clustered]
-        self._ops = NATIVE if compiled else PLAIN
+        self._operations = operations(compiled)
 
-    def incident(self, environment: Environment) -> Lit:
-        """Light step."""
-        angles = self.model.brdf.angles
-        dtype = self.to_factors.dtype
-        maps: LightMaps = self._prepared(environment.map, lambda: light_maps.light_maps(environment, angles))
-        turn = environment.rotation.to(self.to_factors)
-        shape = self.model.grid.shape
-        light = self._ops.lighting(maps.fine.to(dtype), turn, self.directions, self.shares, shape)
-        fine, coarse, coarsest = (light[..., :n, :n].flatten(1) for n in (shape[-1], COARSE, COARSEST))
-        lit = Lit([], maps.blurred.to(dtype), turn)
-        for region in self.model.clustered:
-            e = region.eigenvectors
-            q = len(region.slots)
-            pairs = len(region.pairs)
-            direct = self._ops.light_eigen(region.direct, fine, region.columns).unflatten(2, (e, -1))
-            reduced = self._ops.light_eigen(region.lighting, coarse)  # shape: (k, c, n)
-            one = self._ops.light_eigen(region.one, reduced).unflatten(2, (q, e, ORDER**2))
-            two = self._ops.light_eigen(region.two, coarsest).unflatten(2, (pairs, e))
-            lit.arriving.append(Arriving(direct, one, two))
-        return lit
+    def _rows(self) -> list[slice]:
+        """The rows of each region among the model's points."""
+        return [slice(first, end) for first, end in self.model.receivers.spans]
 
-    def exitant(self, lit: Lit, materials: Sequence[Material]) -> Exitant:
-        """BRDF step."""
+    @uncompiled
+    def incident(self, environment: Environment) -> ClusterLight:
+        """The light step."""
+        arriving = self.arriving(self.light(environment))
+        return ClusterLight(arriving, self.light.maps(environment).blurred, self.light.turn(environment))
+
+    def arriving(self, light: Tensor) -> list[ArrivingLight]:
+        """What arrives at the eigen-points of every region, of lighting (c, 6, n, n)."""
+        coarse = light[..., :COARSE, :COARSE].flatten(1)
+        coarsest = light[..., :COARSEST, :COARSEST].flatten(1)
+        return [self._arriving(region, light.flatten(1), coarse, coarsest) for region in self.model.clustered]
+
+    def _arriving(self, region: ClusteredTransfer, fine: Tensor, coarse: Tensor, coarsest: Tensor) -> ArrivingLight:
+        """What arrives at a region's eigen-points, of lighting (c, l) at three resolutions."""
+        light_eigen = self._operations.light_eigen
+        e = region.eigenvectors
+        direct = light_eigen(region.direct, fine, region.columns).unflatten(2, (e, -1))
+        reduced = light_eigen(region.lighting, coarse)  # shape: (k, c, n)
+        one = light_eigen(region.one, reduced).unflatten(2, (len(region.slots), e, ORDER**2))
+        two = light_eigen(region.two, coarsest).unflatten(2, (len(region.pairs), e))
+        return ArrivingLight(direct, one, two)
+
+    @opaque
+    def materials(self, materials: Sequence[Material]) -> list[RegionMaterial]:
+        """From the materials of all regions to tables, made anew only where a material changed."""
         buffers = watched(self.model.brdf, self.basis)
-        dressed: list[Dressed] = [
-            cache((material, buffers), partial(self._dressed, material))
+        return [
+            cache((material, buffers), partial(self._material, material))
             for cache, material in zip(self._materials, materials, strict=True)
         ]
-        functions = torch.cat([one.functions for one in dressed])
-        h = (functions[self.rows] * self.keep.to(functions)).T  # shape: (c, q)
-        out = Exitant([], [])
-        for r, (region, one) in enumerate(zip(self.model.clustered, dressed, strict=True)):
-            last, first = self.get_buffer(f"pairs{r}").T
-            own = h[:, self.get_buffer(f"slots{r}")]
-            pairs = h[:, last] * h[:, first]
-            glossy = one.lobes is not None
-            eigen = self._ops.eigen(
-                lit.arriving[r], own, pairs, one.coupling, Responses(self.to_factors, self.to_harmonics), glossy
-            )
-            out.sent.append(self._ops.expand(eigen, region.weights, region.cluster))
-            out.gloss.append(self._gloss(one.lobes, lit))
-        return out
 
-    def _dressed(self, material: Material) -> Dressed:
+    def _material(self, material: Material) -> RegionMaterial:
         brdf = self.model.brdf
-        shape = None
-        if material.shape is not None:
-            shape = brdf.space.coordinates(material.shape)
+        shape = None if material.shape is None else brdf.space.coordinates(material.shape)
         functions = slots.functions_of(self.basis, material, shape)
         coupling = brdf.coupling(material, shape)
-        if shape is None or not brdf.angles:
-            return Dressed(functions, coupling, None)
+        lobes = None if shape is None or not brdf.angles else self._lobes(shape, material.specular)
+        return RegionMaterial(functions, coupling, lobes)
+
+    def _lobes(self, shape: Tensor, specular: Tensor) -> MaterialLobes | None:
+        """The lobes of a shape, by its coordinates in the space; None where all are dull."""
+        brdf = self.model.brdf
         tables = brdf.lobe_tables(shape)
         which = torch.nonzero(tables.detach().abs().amax((1, 2)) > DULL)[:, 0]
         if not len(which):
-            return Dressed(functions, coupling, None)
+            return None
         rho = tables[which].flatten(1).T.contiguous()
         axes = brdf.axes[:, which].flatten(0, 1).T.contiguous()
-        specular = material.specular.to(rho)
-        return Dressed(functions, coupling, Lobes(which, rho, axes, specular, self.blurs[which]))
+        return MaterialLobes(which, rho, axes, specular.to(rho), self.blurs[which])
 
-    def _gloss(self, lobes: Lobes | None, lit: Lit) -> Gloss | None:
+    @uncompiled
+    def exitant(self, light: ClusterLight, materials: Sequence[Material]) -> ClusterExitant:
+        """The BRDF step."""
+        return self.contracted(light, self.materials(materials))
+
+    def contracted(self, light: ClusterLight, materials: Sequence[RegionMaterial]) -> ClusterExitant:
+        """The BRDF step, of what `materials` gives."""
+        functions = torch.cat([material.functions for material in materials])
+        h = (functions[self.rows] * self.keep.to(functions)).T  # shape: (c, q)
+        sent = [
+            self._sent(index, arriving, material, h)
+            for index, (arriving, material) in enumerate(zip(light.arriving, materials, strict=True))
+        ]
+        lobes = [self._lit(material.lobes, light) for material in materials]
+        return ClusterExitant(sent, lobes, self.model.brdf.u_o.flatten(1).T.contiguous())
+
+    def _sent(self, index: int, arriving: ArrivingLight, material: RegionMaterial, h: Tensor) -> OutgoingLight:
+        """What the points of a region send out, of H (c, q) of all slots."""
+        region = self.model.clustered[index]
+        points = self.points[index]
+        last, first = points.pairs.T
+        eigen = self._operations.eigen(
+            arriving,
+            h[:, points.slots],
+            h[:, last] * h[:, first],
+            material.coupling,
+            Responses(self.to_factors, self.to_harmonics),
+            material.lobes is not None,
+        )
+        sent: OutgoingLight = self._operations.expand(eigen, region.weights, region.cluster)
+        return sent
+
+    @staticmethod
+    def _lit(lobes: MaterialLobes | None, light: ClusterLight) -> LitLobes | None:
         """Lobes under a light."""
         if lobes is None:
             return None
-        maps = lit.maps if len(lobes.which) == len(lit.maps) else lit.maps[lobes.which]
-        return Gloss(*lobes[:4], maps=maps, turn=lit.turn, blurs=lobes.blurs)
+        maps = light.maps if len(lobes.which) == len(light.maps) else light.maps[lobes.which]
+        return LitLobes(lobes.which, lobes.rho, lobes.axes, lobes.specular, maps, light.turn, lobes.blurs)
 
-    def radiance(self, exitant: Exitant, eye: Tensor) -> Tensor:
-        """View step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
-        u_o = self.model.brdf.u_o
-        outgoing = self._outgoing(u_o, lambda: u_o.flatten(1).T.contiguous())
-        seen = []
-        for r, (region, (first, end)) in enumerate(zip(self.model.clustered, self.model.receivers.spans, strict=True)):
-            position, frame, colour = (self._buffers.get(f"{name}{r}") for name in ("position", "frame", "colour"))
-            assert position is not None and frame is not None
-            points = Points(position, frame, colour, region.cuts, region.place)
-            toward = eye if eye.ndim == 1 else region.in_line(eye[first:end])
-            seen.append(Seen(points, toward, exitant.sent[r], exitant.gloss[r]))
-        return self._ops.view(seen, outgoing)
+    def radiance(self, exitant: ClusterExitant, eye: Tensor) -> Tensor:
+        """The view step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
+        viewed = []
+        for index, (region, own) in enumerate(zip(self.model.clustered, self._rows(), strict=True)):
+            points = self.points[index]
+            surface = SurfaceBlocks(points.position, points.frame, points.colour, region.cuts, region.place)
+            toward = eye if eye.ndim == 1 else region.in_line(eye[own])
+            viewed.append(ViewedRegion(surface, toward, exitant.sent[index], exitant.lobes[index]))
+        radiance: Tensor = self._operations.view(viewed, exitant.outgoing)
+        return radiance

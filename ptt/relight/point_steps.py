@@ -11,34 +11,44 @@ from ptt.light.environment import Environment
 from ptt.materials.material import Material
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import haar, relight
+from ptt.ops.compiling import opaque, uncompiled
+from ptt.ops.sphere import toward
 
 
 class PointSteps(nn.Module):
-    """Light, BRDF and view step of a model without clusters."""
+    """Light, BRDF and view step of a model without clusters; they have no kernels of their own."""
 
     t0: Tensor
 
-    def __init__(self, model: TransferModel, compiled: bool) -> None:
+    def __init__(self, model: TransferModel) -> None:
         super().__init__()
         self.model = model
         self.register_buffer("t0", model.transfer(), persistent=False)
-        self._view_step = relight.compiled(relight.view_step) if compiled else relight.view_step
 
+    @opaque
     def incident(self, environment: Environment) -> Tensor:
-        """Light step: U (c, i, v), the light that reaches each point through each incident factor."""
+        """The light step: U (c, i, v), the light that reaches each point through each incident factor."""
         texels = environment.project(self.model.grid).to(self.t0)  # shape: (6, n, n, c)
         lighting = haar.analyse(texels.movedim(-1, 0)).flatten(1).T.contiguous()
         return relight.light_step(self.t0, lighting, len(self.model.kept))
 
+    @opaque
+    def materials(self, materials: Sequence[Material]) -> list[Tensor]:
+        """M (c, 1 + o, 1 + i) of the materials of all regions."""
+        return [self.model.brdf.coupling(material) for material in materials]
+
+    @uncompiled
     def exitant(self, incident: Tensor, materials: Sequence[Material]) -> Tensor:
-        """BRDF step: Q (c, o, v), what each point sends out through each outgoing factor."""
-        matrices = torch.stack([self.model.brdf.coupling(material) for material in materials], 1)
-        q = relight.brdf_step(matrices, incident, self.model.receivers.spans)
+        """The BRDF step: Q (c, o, v), what each point sends out through each outgoing factor."""
+        return self.contracted(incident, self.materials(materials))
+
+    def contracted(self, incident: Tensor, couplings: Sequence[Tensor]) -> Tensor:
+        """The BRDF step, of what `materials` gives."""
+        q = relight.brdf_step(torch.stack(list(couplings), 1), incident, self.model.receivers.spans)
         return torch.cat((q[:, :1] * self.model.colours.T[:, None], q[:, 1:]), dim=1)
 
-    def radiance(self, exitant: Tensor, view: Tensor) -> Tensor:
-        """View step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
-        toward = nn.functional.normalize(view - self.model.positions, dim=1) if view.ndim == 1 else view
-        local = torch.einsum("vij,vj->vi", self.model.frames, toward)
+    def radiance(self, exitant: Tensor, eye: Tensor) -> Tensor:
+        """The view step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
+        local = torch.einsum("vij,vj->vi", self.model.frames, toward(eye, self.model.positions))
         factors = self.model.brdf.outgoing(local)
-        return self._view_step(torch.cat((torch.ones_like(factors[:1]), factors)), exitant)
+        return relight.view_step(torch.cat((torch.ones_like(factors[:1]), factors)), exitant)

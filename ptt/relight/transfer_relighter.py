@@ -10,68 +10,74 @@ from torch import Tensor, nn
 from ptt.light.environment import Environment
 from ptt.materials import material as mat
 from ptt.materials.material import Material
-from ptt.models.cache import Cache, watched
 from ptt.models.transfer_model import TransferModel
+from ptt.ops.compiling import uncompiled
 from ptt.relight.cluster_steps import ClusterSteps
 from ptt.relight.point_steps import PointSteps
-from ptt.relight.viewpoint import View, toward
+from ptt.relight.relighter import Relighter
 
 
-class TransferRelighter(nn.Module):
+class TransferRelighter(Relighter):
     """relighter(environment, materials, view) -> radiance (v, 3), linear RGB, in the map's units.
 
     model: what `compress` made, or `TransferModel.load`
-    compiled: every step by kernels in C++, built on first use, which takes some seconds; what points send out is then
-        rounded to 16 bits, 2e-4 of it. Without clusters: the view step by torch.compile
+    compiled: by kernels in C++, built on first use; what points send out is then rounded to 16 bits, 2e-4 of it
 
-    Each of the three inputs can change without the work of the others: results are kept for as long as what they
-    were made from is unchanged, and never longer. Differentiable in the map, in the weights of the materials and
-    in the parameters of their shapes.
+    Radiance is that of the vertices; `ptt.render` interpolates it. Differentiable in the map, in the weights of the
+    materials and in the parameters of their shapes.
+
+    Raises, when called:
+        ValueError: as `Relighter`; a fixed region with another material, a shape outside of the model's space, or a
+            G-buffer as the view.
 
     Example:
         >>> relighter = TransferRelighter(model)
         >>> radiance = relighter(light.rotated(y=30), {"knot": blinn_phong(0.1, 0.6, 40.0)}, camera)
     """
 
-    def __init__(self, model: TransferModel, compiled: bool = False) -> None:
-        super().__init__()
+    pixels = False
+
+    def __init__(self, model: TransferModel, compiled: bool = True) -> None:
+        super().__init__(compiled)
         self.model = model
-        self.steps = (ClusterSteps if len(model.regions) else PointSteps)(model, compiled)
-        self._incident = Cache()
-        self._exitant = Cache()
-        self._parts = list(model.modules())
+        self.steps: Any = ClusterSteps(model, compiled) if len(model.regions) else PointSteps(model)
+        self._sources = list(model.modules())
 
-    def forward(self, environment: Environment, materials: Mapping[str, Material], view: View) -> Tensor:
-        """Radiance (v, 3) of every point toward the viewer.
+    @property
+    def materials(self) -> Mapping[str, Material]:
+        """The materials that the scene was traced with, by region."""
+        return self.model.receivers.materials
 
-        materials: by region; a region that is left out has the scene's own
-        view: a Camera, an eye (3,), or directions (v, 3) from the points to the viewer
+    @property
+    def positions(self) -> Tensor:
+        """The points (v, 3) of the model."""
+        return self.model.positions
 
-        Receivers that face away have the radiance of the mirrored direction, so that silhouettes interpolate well.
+    def sources(self) -> list[nn.Module]:
+        """The modules of the model."""
+        return self._sources
 
-        Raises:
-            ValueError: an unknown region, a fixed region with another material, a shape outside of the model's
-                space, or a view of another shape.
-        """
-        chosen = self._chosen(materials)
-        return self.steps.radiance(self.exitant(environment, chosen), toward(view, self.model.positions))
-
-    def incident(self, environment: Environment) -> Any:
-        """Light step: what depends on the light alone."""
-        inputs = environment, watched(*self._parts)
-        return self._incident(inputs, lambda: self.steps.incident(environment))
-
-    def exitant(self, environment: Environment, materials: Mapping[str, Material]) -> Any:
-        """BRDF step: what depends on the light and on the materials (of every region, in their order)."""
-        incident = self.incident(environment)
-        inputs = incident, dict(materials), watched(self.model.brdf)
-        return self._exitant(inputs, lambda: self.steps.exitant(incident, list(materials.values())))
-
-    def _chosen(self, materials: Mapping[str, Material]) -> dict[str, Material]:
+    def chosen(self, materials: Mapping[str, Any]) -> dict[str, Any]:
+        """The materials of every region; those of fixed regions must be their own."""
+        chosen = super().chosen(materials)
         own = self.model.receivers
-        chosen = mat.materials_of_regions(own.materials, materials)
         for name, editable in zip(own.names, own.editable, strict=True):
             given = materials.get(name)
             if given is not None and not editable and mat.to_config(given) != mat.to_config(own.materials[name]):
                 raise ValueError(f"region {name} is fixed: make it editable in the scene to change its material")
         return chosen
+
+    @uncompiled
+    def light_step(self, environment: Environment) -> Any:
+        """What arrives at the points, or at the eigen-points of their clusters."""
+        return self.steps.incident(environment)
+
+    @uncompiled
+    def brdf_step(self, incident: Any, materials: list[Material], points: None) -> Any:
+        """What they send out through each outgoing factor."""
+        return self.steps.exitant(incident, materials)
+
+    def view_step(self, exitant: Any, points: None, eye: Tensor) -> Tensor:
+        """What of it goes to the eye."""
+        radiance: Tensor = self.steps.radiance(exitant, eye)
+        return radiance

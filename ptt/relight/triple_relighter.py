@@ -12,22 +12,24 @@ from tqdm import tqdm
 
 from ptt.imaging.atlas import Atlas
 from ptt.imaging.gbuffer import GBuffer
-from ptt.light import prefiltered as light_maps
 from ptt.light.environment import Environment
-from ptt.light.prefiltered import LightMaps
-from ptt.materials.material import Material, Mixed, materials_of_regions
+from ptt.materials.material import Material, Mixed
 from ptt.materials.shapes import Shape, is_mirror_symmetric
 from ptt.models.cache import Cache, watched
-from ptt.ops import haar, local, native, near, relight, rotation, shade
+from ptt.ops import haar, local, rotation
+from ptt.ops.compiling import opaque, uncompiled
 from ptt.ops.geodesic import Geodesic
 from ptt.ops.memory import in_large_pages
 from ptt.ops.near import Near
 from ptt.ops.octahedral import Octahedral
 from ptt.ops.rotation import Resampling
-from ptt.ops.shade import Coats, Functions, Points
+from ptt.ops.shade import Functions, RegionCoats, ShadedPoints
 from ptt.ops.table import Table, stored
+from ptt.relight.light_step import LightStep
+from ptt.relight.operations import operations
+from ptt.relight.relighter import Relighter
 from ptt.relight.shape_tables import ShapeTables
-from ptt.relight.viewpoint import View, toward
+from ptt.relight.viewpoint import View, eye_of
 from ptt.scene.scene import Scene
 
 Storage = Literal["float", "16-bit", "8-bit"]
@@ -42,8 +44,8 @@ PREROTATED = 64, 8  # cells along the edge of the light's map, and samples along
 FRAMES = 512  # that light is rotated to at once
 
 
-class Located(NamedTuple):
-    """Points that are shaded: their light and visibility, and their surface.
+class PointLookups(NamedTuple):
+    """Points that are shaded: where their light and visibility are found, and their surface.
 
     light, seen: rows of the tables; positions (p, 3), frames (p, 3, 3), region (p,) int32, colour (p, 3)
     triangle (p,), barycentric (p, 3): where on the mesh
@@ -59,8 +61,15 @@ class Located(NamedTuple):
     barycentric: Tensor
 
 
-class TripleProductRelighter(nn.Module):
-    """relighter(light, materials, view) -> radiance (v, 3), linear RGB, in the map's units.
+class Exitant(NamedTuple):
+    """With materials: the functions that are multiplied, and what the regions are coated with."""
+
+    functions: Functions
+    coats: RegionCoats
+
+
+class TripleProductRelighter(Relighter):
+    """relighter(environment, materials, view) -> radiance (v, 3), linear RGB, in the map's units.
 
     scene: whose vertices are relit; per pixel, give a `GBuffer` as the view: visibility is mixed from the vertices'
     level: of the triangles that the three functions are given on: 1 for 80 of them, 2 for 320, 3 for 1280
@@ -70,11 +79,12 @@ class TripleProductRelighter(nn.Module):
     rays: along the edge of a triangle, for visibility, a power of two
     storage: of light and BRDFs (`Storage`); visibility has 8 bits
     atlas: texels that hold visibility, for meshes too coarse for shadows; None for that of the vertices
-    compiled: by kernels in C++
+    compiled: by kernels in C++, built on first use
     progress: a bar while visibility is traced
 
-    Light, materials and view change apart from each other; results are kept for as long as what they were made from is
-    unchanged. Differentiable in the map and in the weights of the materials.
+    Differentiable in the map and in the weights of the materials.
+
+    environment may also be what `prerotated` made of one; a region may have two materials (`Mixed`).
 
     Departures from the paper: normals lie on an octahedral map, 22 x 22 for its 32 x 16, so that poles are no
     exception, and the tangent's angle is that to a normal's own frame; light is rotated on the fly, from three cells a
@@ -86,13 +96,13 @@ class TripleProductRelighter(nn.Module):
         >>> pixels.image(relighter(light.rotated(y=30), {}, pixels), light).save("scene.png")
     """
 
+    pixels = True
+    mixed = True
     frames: Tensor
     starts: Tensor
     reads: Tensor
     visibility: Tensor
     dull: Tensor
-    directions: Tensor
-    shares: Tensor
 
     def __init__(
         self,
@@ -109,9 +119,12 @@ class TripleProductRelighter(nn.Module):
         compiled: bool = True,
         progress: bool = False,
     ) -> None:
-        super().__init__()
-        limits = ("level", level, 0, FINEST), ("twists", twists, 1, 256), ("views", views, 1, 512)
-        for name, value, least, most in limits:
+        super().__init__(compiled)
+        for name, value, least, most in (
+            ("level", level, 0, FINEST),
+            ("twists", twists, 1, 256),
+            ("views", views, 1, 512),
+        ):
             if not least <= value <= most:
                 raise ValueError(f"{name} must be in {least}..{most}, got {value}")
         if storage not in STORAGE:
@@ -120,113 +133,110 @@ class TripleProductRelighter(nn.Module):
         self.atlas = atlas
         self.grid = Geodesic(level)
         self.storage = STORAGE[storage]
-        source = max(32, 8 << level) if source is None else source
-        self.normals = normals
         self.twists = twists
-        self.source = source
         self.views = views
-        self.compiled = compiled
+        source = max(32, 8 << level) if source is None else source
         own = rotation.frames_of(Octahedral(normals).directions().reshape(-1, 3))
         _check_memory(self.grid.cells, len(own) * twists, views**2, len(atlas.triangle if atlas else scene.vertices))
+        self.light = LightStep(Octahedral(source), (), compiled)
         s = rotation.resampling(Octahedral(source), self.grid, turned(own, twists))
-        traced = _traced(scene, atlas, self.grid, rays, progress)
-        tables = {"frames": own.float(), "starts": s.starts, "reads": s.reads, "visibility": traced}
-        tables |= {"dull": local.cosine(self.grid)}
-        tables |= dict(zip(("directions", "shares"), light_maps.samples(Octahedral(source)), strict=True))
+        tables = {
+            "frames": own.float(),
+            "starts": s.starts,
+            "reads": s.reads,
+            "visibility": _traced(scene, atlas, self.grid, rays, progress),
+            "dull": local.cosine(self.grid),
+        }
         for name, tensor in tables.items():
             self.register_buffer(name, in_large_pages(tensor))
-        self._fine = Cache()
-        self._light = Cache()
         self._vertices = Cache()
         self._pixels = Cache()
-        self._view = Cache()
+        self._viewed = Cache()
         self._second = Cache()
         self._glossy = Cache()
         self._tables: ShapeTables[Table] = ShapeTables(self._table)
+        self._operations = operations(compiled)
 
-    def forward(
-        self, light: Environment | Table, materials: Mapping[str, Material | Mixed], view: View | GBuffer
-    ) -> Tensor:
-        """Radiance (v, 3) of every vertex, or (p, 3) of every pixel of a `GBuffer`, toward the viewer.
+    @property
+    def materials(self) -> Mapping[str, Material | Mixed]:
+        """The scene's own materials, by region."""
+        return self.scene.materials
 
-        light: an environment, or what `incident` or `prerotated` made of one
-        materials: by region; a region that is left out has the scene's own
-        view: a Camera, an eye (3,), directions (v, 3) from the vertices to the viewer, or a GBuffer
+    @property
+    def positions(self) -> Tensor:
+        """The scene's vertices (v, 3), where they are lit."""
+        return self.scene.points.to(self.dull)
+
+    def sources(self) -> list[nn.Module]:
+        """All tables are its own."""
+        return [self]
+
+    @uncompiled
+    def incident(self, environment: Environment | Table) -> Table:
+        """The light (f, 3, n) in every frame, or what `prerotated` made, as it is.
 
         Raises:
-            ValueError: an unknown region, a view of another shape, light of another relighter, or a shape whose
-                parameters carry gradients.
+            ValueError: light that another relighter rotated.
         """
-        radiance: Tensor = (native if self.compiled else shade).shade(*self.prepared(light, materials, view))
-        return radiance
+        if isinstance(environment, Table):
+            return self._checked(environment)
+        table: Table = super().incident(environment)
+        return table
 
-    def prepared(
-        self, light: Environment | Table, materials: Mapping[str, Material | Mixed], view: View | GBuffer
-    ) -> tuple[Functions, Coats, Points]:
-        """What `ops.shade.shade` multiplies; `forward` is that function of these."""
-        own = list(materials_of_regions(self.scene.materials, materials, mixed=True).values())
-        at = self._located(view, brushed=any(map(_brushed, own)))
-        eye = (
-            torch.tensor(view.camera.eye).to(at.positions) if isinstance(view, GBuffer) else toward(view, at.positions)
-        )
-        ops = native if self.compiled else near
-        seen_from: Near = self._view((at, eye), lambda: ops.of_views(at.frames, at.positions, eye, self.views))
-        second: Tensor = self._second((at, own), lambda: self._shares(at, own))
-        coats, glossy = self._coats(own)
-        rotated = self._checked(light) if isinstance(light, Table) else self.incident(light)
-        points = Points(at.light, at.seen, seen_from, at.region, at.colour, second)
-        return Functions(rotated, self.visibility, self.dull, glossy), coats, points
-
-    def incident(self, environment: Environment) -> Table:
-        """Light step: the light (f, 3, n) in every frame, by the rotation operator."""
-        maps: LightMaps = self._fine(environment.map, lambda: light_maps.light_maps(environment, ()))
-        inputs = environment, watched(self)
+    @uncompiled
+    def light_step(self, environment: Environment) -> Table:
+        """The light in every frame, by the rotation operator."""
         s = Resampling(self.starts, self.reads, rotation.SAMPLES)
-        rotated: Table = self._light(
-            inputs,
-            lambda: self._rotated(maps.fine.to(self.dull), environment, self.source, s, self.directions, self.shares),
-        )
-        return rotated
+        return self._rotated(self.light(environment), s)
 
     def prerotated(self, environment: Environment, progress: bool = False) -> Table:
-        """The same from a finer map with more samples, as the paper's tables are made before anything is drawn."""
+        """The same from a finer map with more samples, as the paper's tables are made before anything is drawn.
+
+        It is given to the relighter in place of the environment.
+        """
         side, samples = PREROTATED
-        maps = light_maps.light_maps(environment, ())
+        lighting = LightStep(Octahedral(side), (), self.compiled).to(self.dull.device)(environment)
         parts = []
-        directions, shares = (x.to(self.dull) for x in light_maps.samples(Octahedral(side)))
         frames = turned(self.frames.cpu().double(), self.twists)
         with tqdm(total=len(frames), desc="rotations", unit=" frames", disable=not progress) as bar:
             for some in frames.split(FRAMES):
                 s = rotation.resampling(Octahedral(side), self.grid, some, samples)
-                s = Resampling(s.starts.to(self.dull.device), s.reads.to(self.dull.device), samples)
-                parts.append(self._rotated(maps.fine.to(self.dull), environment, side, s, directions, shares))
+                on_device = Resampling(s.starts.to(self.dull.device), s.reads.to(self.dull.device), samples)
+                parts.append(self._rotated(lighting, on_device))
                 bar.update(len(some))
         return Table(*(torch.cat(part) for part in zip(*parts, strict=True)))
 
-    def _rotated(
-        self, fine: Tensor, environment: Environment, n: int, s: Resampling, directions: Tensor, shares: Tensor
-    ) -> Table:
-        turn = environment.rotation.to(fine)
-        lighting = (native if self.compiled else relight).lighting
-        values = haar.synthesise(lighting(fine, turn, directions, shares, (n, n))).flatten(1).T.contiguous()
-        ops = native if self.compiled else rotation
-        table: Table = ops.resampled_values(values, s, self.grid.cells, self.storage)
+    def _rotated(self, lighting: Tensor, s: Resampling) -> Table:
+        """Lighting (3, n, n) in the frames of S, on the triangles."""
+        values = haar.synthesise(lighting).flatten(1).T.contiguous()
+        table: Table = self._operations.resampled_values(values, s, self.grid.cells, self.storage)
         return table
 
-    def _located(self, view: View | GBuffer, brushed: bool) -> Located:
+    @opaque
+    def points(self, view: View, eye: Tensor, materials: Mapping[str, Material | Mixed]) -> ShadedPoints:
+        """Where the functions of vertices or pixels are found, seen from an eye."""
+        own = list(materials.values())
+        at = self._located(view, brushed=any(map(_brushed, own)))
+        of_views = self._operations.of_views
+        viewed: Near = self._viewed((at, eye), lambda: of_views(at.frames, at.positions, eye, self.views))
+        second: Tensor = self._second((at, own), lambda: self._shares(at, own))
+        return ShadedPoints(at.light, at.seen, viewed, at.region, at.colour, second)
+
+    def _located(self, view: View, brushed: bool) -> PointLookups:
         scene = self.scene
         if isinstance(view, GBuffer):
-            surface = view.positions, view.frames, view.region.int(), view.colours, view.triangle, view.barycentric
-            located: Located = self._pixels((view, brushed, watched(self)), lambda: self._of(*surface, brushed))
-            return located
+            surface = (view.positions, view.frames, view.region.int(), view.colours, view.triangle, view.barycentric)
+            pixels: PointLookups = self._pixels((view, brushed, watched(self)), lambda: self._of(*surface, brushed))
+            return pixels
 
-        def vertices() -> Located:
+        def vertices() -> PointLookups:
             corner = torch.zeros(len(scene.vertices), dtype=torch.int64)
             corner[scene.faces.flatten()] = torch.arange(scene.faces.numel())
-            where = corner // 3, nn.functional.one_hot(corner % 3, 3).float()
-            return self._of(scene.points, scene.frames, scene.vertex_region.int(), scene.colours, *where, brushed)
+            barycentric = nn.functional.one_hot(corner % 3, 3).float()
+            surface = (scene.points, scene.frames, scene.vertex_region.int(), scene.colours)
+            return self._of(*surface, corner // 3, barycentric, brushed)
 
-        located = self._vertices((brushed, watched(self)), vertices)
+        located: PointLookups = self._vertices((brushed, watched(self)), vertices)
         return located
 
     def _of(
@@ -238,45 +248,57 @@ class TripleProductRelighter(nn.Module):
         triangle: Tensor,
         barycentric: Tensor,
         brushed: bool,
-    ) -> Located:
+    ) -> PointLookups:
         if len(triangle) and int(triangle.max()) >= len(self.scene.faces):
             raise ValueError("view must be a GBuffer of this relighter's scene: GBuffer.of(scene, camera)")
-        ops = native if self.compiled else near
         device = self.dull.device
-        light = ops.of_frames(frames, self.frames.cpu(), self.twists, brushed)
+        light = self._operations.of_frames(frames, self.frames.cpu(), self.twists, brushed)
         if self.atlas is not None:
-            seen = ops.of_texels(self.atlas.corner_uv, triangle, barycentric, self.atlas.rows)
+            seen = self._operations.of_texels(self.atlas.corner_uv, triangle, barycentric, self.atlas.rows)
         else:
             seen = Near(self.scene.faces[triangle].int(), barycentric)
         light, seen = (Near(*(x.to(device) for x in found)) for found in (light, seen))
-        surface = positions, frames, region, colour, triangle, barycentric
-        return Located(light, seen, *(x.to(device) for x in surface))
+        surface = (positions, frames, region, colour, triangle, barycentric)
+        return PointLookups(light, seen, *(x.to(device) for x in surface))
 
-    def _shares(self, at: Located, own: list[Material | Mixed]) -> Tensor:
+    def _shares(self, at: PointLookups, own: list[Material | Mixed]) -> Tensor:
         """How much of its region's second material is at each point (p,)."""
         second = torch.zeros(len(at.region))
         for region, material in enumerate(own):
             if isinstance(material, Mixed):
                 rows = (at.region == region).nonzero()[:, 0].cpu()
-                second[rows] = self.scene.share_at(material.share, at.triangle.cpu()[rows], at.barycentric.cpu()[rows])
+                triangle = at.triangle.cpu()[rows]
+                second[rows] = self.scene.share_at(material.share, triangle, at.barycentric.cpu()[rows])
         return second.to(self.dull.device)
 
-    def _coats(self, own: list[Material | Mixed]) -> tuple[Coats, Table]:
-        """The materials of every region, and the BRDFs of their shapes one after the other."""
-        pairs = [(m.first, m.second) if isinstance(m, Mixed) else (m, m) for m in own]
-        layers = list(zip(*pairs, strict=True))[: 1 + any(isinstance(m, Mixed) for m in own)]
+    @opaque
+    def brdf_step(self, incident: Table, materials: list[Material | Mixed], points: ShadedPoints) -> Exitant:
+        """The BRDFs of the regions' shapes, one after the other, and their weights."""
+        pairs = [(m.first, m.second) if isinstance(m, Mixed) else (m, m) for m in materials]
+        layers = list(zip(*pairs, strict=True))[: 1 + any(isinstance(m, Mixed) for m in materials)]
         tables = [[self._tables(m.shape, self.dull.device) for m in layer] for layer in layers]
         distinct = list({id(table): table for layer in tables for table in layer}.values())
-        glossy: Table = self._glossy(
-            distinct, lambda: Table(*(in_large_pages(torch.cat(x)) for x in zip(*distinct, strict=True)))
-        )
+        glossy: Table = self._glossy(distinct, lambda: _joined(distinct))
         starts = {id(table): self.views**2 * k for k, table in enumerate(distinct)}
         first = torch.tensor([[starts[id(table)] for table in layer] for layer in tables], dtype=torch.int32)
-        diffuse, specular = (
-            torch.stack([torch.stack([getattr(m, name) for m in layer]) for layer in layers]).to(self.dull)
-            for name in ("diffuse", "specular")
-        )
-        return Coats(diffuse, specular, first.to(self.dull.device)), glossy
+        diffuse = torch.stack([torch.stack([m.diffuse for m in layer]) for layer in layers]).to(self.dull)
+        specular = torch.stack([torch.stack([m.specular for m in layer]) for layer in layers]).to(self.dull)
+        coats = RegionCoats(diffuse, specular, first.to(self.dull.device))
+        return Exitant(Functions(incident, self.visibility, self.dull, glossy), coats)
+
+    def view_step(self, exitant: Exitant, points: ShadedPoints, eye: Tensor) -> Tensor:
+        """The triple product of light, visibility and BRDF at every point."""
+        radiance: Tensor = self._operations.shade(*exitant, points)
+        return radiance
+
+    @uncompiled
+    def prepared(
+        self, environment: Environment | Table, materials: Mapping[str, Material | Mixed], view: View
+    ) -> tuple[Functions, RegionCoats, ShadedPoints]:
+        """What `ops.shade.shade` multiplies; the radiance is that function of these."""
+        chosen = self.chosen(materials)
+        points = self.points(view, eye_of(view, self.positions), chosen)
+        return *self.exitant(environment, chosen, points), points
 
     def _table(self, shape: Shape | None) -> Table:
         """F (o, n) of a shape."""
@@ -287,10 +309,15 @@ class TripleProductRelighter(nn.Module):
         return Table(*(x.to(self.dull.device) for x in stored(table, self.storage)))
 
     def _checked(self, light: Table) -> Table:
-        expected = len(self.frames) * self.twists, 3, self.grid.cells
+        expected = (len(self.frames) * self.twists, 3, self.grid.cells)
         if light.values.shape != expected:
             raise ValueError(f"light must be {expected}, rotated by this relighter, got {tuple(light.values.shape)}")
         return light
+
+
+def _joined(tables: list[Table]) -> Table:
+    """Tables one after the other."""
+    return Table(*(in_large_pages(torch.cat(parts)) for parts in zip(*tables, strict=True)))
 
 
 def _brushed(material: Material | Mixed) -> bool:

@@ -6,17 +6,24 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from ptt.imaging.gbuffer import GBuffer
+from ptt.ops.compiling import opaque
 from ptt.scene.camera import Camera
 
-View = Camera | Tensor
+View = Camera | Tensor | GBuffer
 
 
-def toward(view: View, positions: Tensor) -> Tensor:
-    """The eye (3,), or unit directions (v, 3) to the viewer, of a view of positions (v, 3).
+@opaque
+def eye_of(view: View, positions: Tensor) -> Tensor:
+    """The eye (3,), or unit directions (v, 3) from positions (v, 3) to the viewer, of the type of the positions.
+
+    view: a Camera, the G-buffer of one, an eye (3,), or directions (v, 3) of any length
 
     Raises:
         ValueError: a tensor of another shape, not finite, or with directions that are zero.
     """
+    if isinstance(view, GBuffer):
+        view = view.camera
     if isinstance(view, Camera):
         return torch.tensor(view.eye).to(positions)
     if view.shape not in ((3,), positions.shape):

@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from ptt.ops.sphere import toward
+
 Vector = tuple[float, float, float]
 PARALLEL = 1e-9  # sine of the least angle between up and the view
 
@@ -82,8 +84,8 @@ class Camera:
 
     def toward(self, points: Tensor) -> Tensor:
         """Unit directions (v, 3) from points (v, 3) to the eye."""
-        away = torch.tensor(self.eye, dtype=torch.float64, device=points.device) - points.double()
-        return torch.nn.functional.normalize(away, dim=-1).to(points.dtype)
+        eye = torch.tensor(self.eye, dtype=torch.float64, device=points.device)
+        return toward(eye, points.double()).to(points.dtype)
 
 
 def _centres(count: int) -> Tensor:

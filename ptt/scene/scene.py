@@ -46,7 +46,8 @@ class Scene:
     uv (v, 2): texture coordinates, v = 1 on top; 0 in regions that have none; None where no region has any
     regions: their names, textures, and whether they may be edited
     materials: default Material of each region, by name
-    environment, camera: those that a scene file gives, or None
+    camera: the one given, or one that frames all parts
+    environment: the one given, or None
     """
 
     vertices: Tensor
@@ -58,8 +59,8 @@ class Scene:
     uv: Tensor | None
     regions: tuple[Region, ...]
     materials: dict[str, Material]
+    camera: Camera
     environment: Environment | None = None
-    camera: Camera | None = None
 
     @classmethod
     def from_mesh(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
 
@@ -73,11 +74,12 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
     ptt.LightRotation.build(8, 4).save(path)
     with safe_open(str(path), framework="pt") as file:
         header = file.metadata()
-    for name, damage, message in (
+    damages: tuple[tuple[str, Callable[[Tensor], Tensor], str], ...] = (
         ("reads", lambda t: t + (1 << 20), "holds wrong columns"),
         ("starts", lambda t: t.flip(0), "holds wrong rows"),
         ("frames", lambda t: t[:3], "frames must be"),
-    ):
+    )
+    for name, damage, message in damages:
         tensors = load_file(path)
         tensors[name] = damage(tensors[name]).contiguous()
         save_file(tensors, tmp_path / "bad.safetensors", metadata=header)
@@ -146,7 +148,7 @@ def test_refuses() -> None:
         ({"n": 8, "frames": torch.ones(2, 3, 3)}, "orthonormal"),
     ):
         with pytest.raises(ValueError, match=message):
-            build(**arguments)  # type: ignore[arg-type]
+            build(**arguments)
     rotate = build(8, 2)
     with pytest.raises(ValueError, match=r"coefficients must be \(c, 8, 8\)"):
         rotate(torch.ones(3, 4, 4))

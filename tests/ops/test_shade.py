@@ -8,10 +8,10 @@ from torch import Tensor
 
 from ptt.ops import native, shade, table
 from ptt.ops.near import Near
-from ptt.ops.shade import Coats, Functions, Points
+from ptt.ops.shade import Functions, RegionCoats, ShadedPoints
 
 STORAGE = [torch.float32, torch.float16, torch.uint8]
-Given = tuple[Functions, Coats, Points]
+Given = tuple[Functions, RegionCoats, ShadedPoints]
 
 
 def scene(n: int, p: int = 37, k: int = 4, j: int = 4, i: int = 1, storage: torch.dtype = torch.float16) -> Given:
@@ -26,14 +26,14 @@ def scene(n: int, p: int = 37, k: int = 4, j: int = 4, i: int = 1, storage: torc
     functions = Functions(light, visibility, torch.rand(n, generator=g), glossy)
     specular = torch.rand(i, 3, 3, generator=g)
     specular[:, 2] = 0  # a dull region
-    coats = Coats(torch.rand(i, 3, 3, generator=g), specular, torch.randint(2, (i, 3), generator=g).int() * 9)
+    coats = RegionCoats(torch.rand(i, 3, 3, generator=g), specular, torch.randint(2, (i, 3), generator=g).int() * 9)
     region = torch.randint(3, (p,), generator=g).int()
     second = torch.rand(p, generator=g)
     second[:3] = torch.tensor([0.0, 1.0, 0.5])
     return (
         functions,
         coats,
-        Points(near(k, 6), near(j, 7), near(min(k, 4), 9), region, torch.rand(p, 3, generator=g), second),
+        ShadedPoints(near(k, 6), near(j, 7), near(min(k, 4), 9), region, torch.rand(p, 3, generator=g), second),
     )
 
 
@@ -101,7 +101,7 @@ def test_no_sum_overflows(storage: torch.dtype, built: None) -> None:
     light, glossy = (table.stored(torch.full_like(x.to_dense(), 7e4), storage) for x in functions[::3])
     ones = torch.ones_like(functions.dull)
     full = Functions(light, torch.full_like(functions.visibility, 255), ones / torch.pi, glossy)
-    coats = Coats(torch.ones(2, 3, 3), torch.full((2, 3, 3), 1000.0), torch.zeros(2, 3, dtype=torch.int32))
+    coats = RegionCoats(torch.ones(2, 3, 3), torch.full((2, 3, 3), 1000.0), torch.zeros(2, 3, dtype=torch.int32))
     got = native.shade(full, coats, at)
     torch.testing.assert_close(got, torch.full_like(got, 20 * 7e4 * 7e4 * 1000), rtol=1e-2, atol=0)
 

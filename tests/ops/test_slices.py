@@ -12,12 +12,12 @@ from torch.nn.functional import normalize
 from ptt.materials.shapes import BlinnPhong, Ward
 from ptt.ops import haar, rotation, slices
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
-from ptt.ops.slices import ALIGNED, Located, Slices
+from ptt.ops.slices import ALIGNED, NormalLookup, Slices
 
 SHAPE = BlinnPhong(20.0)
 
 
-def points(count: int = 32, normals: int = 8, seed: int = 0) -> tuple[Located, Tensor, Tensor]:
+def points(count: int = 32, normals: int = 8, seed: int = 0) -> tuple[NormalLookup, Tensor, Tensor]:
     """Points with random frames, among the sampled frames of normals x normals."""
     g = torch.Generator().manual_seed(seed)
     q, _ = torch.linalg.qr(torch.randn(count, 3, 3, generator=g, dtype=torch.float64))

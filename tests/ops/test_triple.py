@@ -51,7 +51,7 @@ def test_coefficients_do_not_depend_on_the_order() -> None:
 @pytest.mark.parametrize("level", range(6))
 def test_dense_integral_is_the_quadrature(level: int) -> None:
     f, g, h = functions(3, level)
-    got = triple.integral(*(geodesic.analyse(x) for x in (f, g, h)))
+    got = triple.integral(geodesic.analyse(f), geodesic.analyse(g), geodesic.analyse(h))
     assert float(got) == pytest.approx(float(triple.quadrature(f, g, h)), abs=1e-12 * 20)
     assert float(got) == pytest.approx(float((f * g * h).sum() / 4**level), abs=1e-11)
 
@@ -79,8 +79,8 @@ def _likely(n: int) -> list[tuple[int, int, int]]:
 def test_symmetric_and_linear() -> None:
     f, g, h = (geodesic.analyse(x) for x in functions(3, 3))
     whole = triple.integral(f, g, h)
-    for order in itertools.permutations((f, g, h)):
-        torch.testing.assert_close(triple.integral(*order), whole, rtol=1e-12, atol=1e-13)
+    for a, b, c in itertools.permutations((f, g, h)):
+        torch.testing.assert_close(triple.integral(a, b, c), whole, rtol=1e-12, atol=1e-13)
     torch.testing.assert_close(triple.integral(2 * f + g, g, h), 2 * whole + triple.integral(g, g, h))
 
 
@@ -88,20 +88,21 @@ def test_symmetric_and_linear() -> None:
 def test_top_only_is_the_quadrature_of_its_level(level: int) -> None:
     f, g, h = (geodesic.analyse(x) for x in functions(3, 4))
     keep = 20 << 2 * level
-    cut = [torch.cat((x[:keep], torch.zeros(len(x) - keep, dtype=x.dtype))) for x in (f, g, h)]
+    a, b, c = (torch.cat((x[:keep], torch.zeros(len(x) - keep, dtype=x.dtype))) for x in (f, g, h))
     by_values = triple.quadrature(*(triple.top_only(x, keep) for x in (f, g, h)))
-    torch.testing.assert_close(triple.integral(*cut), by_values, rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(triple.integral(a, b, c), by_values, rtol=1e-12, atol=1e-12)
 
 
 def test_adaptive_is_the_integral_of_what_is_kept() -> None:
     """The largest by magnitude times the root of the area: the best approximation for its number."""
     weights = geodesic.areas(3).sqrt()
     coefficients = geodesic.analyse(functions(3, 3))
-    kept = [haar.truncate(x, 100, weights) for x in coefficients]
-    dense = [x.to_dense(1280) for x in kept]
-    torch.testing.assert_close(triple.adaptive(*kept, 1280), triple.integral(*dense), rtol=0, atol=0)
+    f, g, h = (haar.truncate(x, 100, weights) for x in coefficients)
+    got = triple.adaptive(f, g, h, 1280)
+    dense = f.to_dense(1280), g.to_dense(1280), h.to_dense(1280)
+    torch.testing.assert_close(got, triple.integral(*dense), rtol=0, atol=0)
     values = triple.quadrature(*(geodesic.synthesise(x) for x in dense))
-    torch.testing.assert_close(triple.adaptive(*kept, 1280), values, rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(got, values, rtol=1e-12, atol=1e-12)
     lost = ((coefficients[0] - dense[0]) * weights).norm()
     top = ((coefficients[0][100:]) * weights[100:]).norm()
     assert float(lost) < float(top)
@@ -111,8 +112,8 @@ def test_constants_give_the_integral_of_the_third() -> None:
     """A constant light over the visible part: with `ratios` as one factor, its solid angle exactly."""
     grid = geodesic.Geodesic(4)
     visible = (grid.directions()[:, 2] > 0.3).double()
-    factors = [geodesic.analyse(x) for x in (torch.ones(grid.cells).double(), visible, grid.ratios())]
-    solid = float(triple.integral(*factors)) * 4 * math.pi / 20
+    light, seen, ratios = (geodesic.analyse(x) for x in (torch.ones(grid.cells).double(), visible, grid.ratios()))
+    solid = float(triple.integral(light, seen, ratios)) * 4 * math.pi / 20
     assert solid == pytest.approx(float((visible * grid.solid_angles()).sum()), rel=1e-12)
 
 
@@ -121,9 +122,9 @@ def test_square_haar_is_the_same_tree(n: int) -> None:
     """Three maps on a square grid: the mean of their product over cells is the integral, with one root of area 1."""
     g = torch.Generator().manual_seed(n)
     maps = torch.randn(3, 2, n, n, generator=g, dtype=torch.float64)
-    trees = [triple.from_square(haar.analyse(x)) for x in maps]
+    a, b, c = (triple.from_square(haar.analyse(x)) for x in maps)
     wanted = (maps[0] * maps[1] * maps[2]).sum((-1, -2)) / n**2
-    torch.testing.assert_close(triple.integral(*trees, roots=1), wanted, rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(triple.integral(a, b, c, roots=1), wanted, rtol=1e-12, atol=1e-12)
     assert triple.coefficient(1, 2, 3, roots=1) == 1.0 and triple.coefficient(0, 0, 0, roots=1) == 1.0
 
 
@@ -146,15 +147,15 @@ def test_adaptive_kernel(level: int, keep: int, built: None, monkeypatch: pytest
     n = 20 << 2 * level
     g = torch.Generator().manual_seed(keep)
     three = [torch.randn(130, n, generator=g) for _ in range(3)]
-    kept = [haar.truncate(x, min(n, keep + k)) for k, x in enumerate(three)]
-    wanted = triple.adaptive(*kept, n)
+    a, b, c = (haar.truncate(x, min(n, keep + k)) for k, x in enumerate(three))
+    wanted = triple.adaptive(a, b, c, n)
     monkeypatch.setattr(triple, "adaptive", None)  # so that it cannot have been the plain one
-    torch.testing.assert_close(native.adaptive(*kept, n), wanted, rtol=1e-4, atol=1e-3)
+    torch.testing.assert_close(native.adaptive(a, b, c, n), wanted, rtol=1e-4, atol=1e-3)
 
 
 def test_what_the_adaptive_kernel_does_not_take_is_computed_plainly(built: None) -> None:
-    three = [haar.truncate(torch.randn(4, 80).double(), 9) for _ in range(3)]
-    assert torch.equal(native.adaptive(*three, 80), triple.adaptive(*three, 80))
+    a, b, c = (haar.truncate(torch.randn(4, 80).double(), 9) for _ in range(3))
+    assert torch.equal(native.adaptive(a, b, c, 80), triple.adaptive(a, b, c, 80))
 
 
 def test_coefficients_beyond_the_last_are_not_written_anywhere(built: None) -> None:

@@ -230,7 +230,7 @@ def test_refuses(ball: ptt.Scene, rotation: ptt.LightRotation, relighter: ptt.En
         ({"occlusion": torch.full((len(ball.vertices),), 1.5)}, "occlusion must be"),
     ):
         with pytest.raises(ValueError, match=message):
-            ptt.EnvMapRelighter(ball, rotation, **arguments)  # type: ignore[arg-type]
+            ptt.EnvMapRelighter(ball, rotation, **arguments)
     with pytest.raises(ValueError, match="must be for normals"):
         ptt.EnvMapRelighter(ball, ptt.LightRotation.build(8, frames=torch.eye(3)[None]))
     with pytest.raises(ValueError, match="no region lid"):

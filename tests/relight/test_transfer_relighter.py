@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ from torch import Tensor
 
 import ptt
 from ptt.models.cache import Cache
+from ptt.ops.native import kernels
 
 SKY = ptt.Environment.sun_sky(radius=10.0)
 
@@ -57,7 +59,8 @@ def test_equation_3_written_out(relighter: ptt.TransferRelighter, small_scene: p
 
 def test_linear_in_light_and_black_in_the_dark(relighter: ptt.TransferRelighter, small_scene: ptt.Scene) -> None:
     def of(environment: ptt.Environment) -> Tensor:
-        return relighter(environment, {}, small_scene.camera)
+        radiance: Tensor = relighter(environment, {}, small_scene.camera)
+        return radiance
 
     whole = of(SKY)
     for factor in (1e-6, 1e6):
@@ -107,7 +110,8 @@ def test_gradients_reach_light_weights_and_exponent(small_raw: ptt.RawTransfer, 
 
     def loss(texels: Tensor, specular: Tensor, exponent: Tensor) -> Tensor:
         material = ptt.Material(0.3, specular, ptt.BlinnPhong(exponent))
-        return relighter(ptt.Environment(texels), {"ball": material}, eye)[::7].square().sum()
+        radiance: Tensor = relighter(ptt.Environment(texels), {"ball": material}, eye)
+        return radiance[::7].square().sum()
 
     inputs = [texels, torch.tensor([0.2, 0.3, 0.4]), torch.tensor(5.5)]
     leaves = [x.clone().requires_grad_() for x in inputs]
@@ -140,19 +144,29 @@ def test_compiled_agrees_with_eager(small_model: ptt.TransferModel, small_scene:
 
 
 def test_without_a_compiler_it_stays_eager_with_one_warning(
-    small_model: ptt.TransferModel, small_scene: ptt.Scene, monkeypatch: pytest.MonkeyPatch
+    clustered_model: ptt.TransferModel, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    import torch._inductor.cpp_builder as builder
-
     def none() -> str:
         raise RuntimeError("no working C++ compiler found")
 
-    monkeypatch.setattr(builder, "get_cpp_compiler", none)
-    with pytest.warns(UserWarning, match="no C\\+\\+ compiler, relighting stays eager") as seen:
-        relighter = ptt.TransferRelighter(small_model, compiled=True)
-    assert len(seen) == 1
-    expected = ptt.TransferRelighter(small_model)(SKY, {}, small_scene.camera)
-    assert torch.equal(relighter(SKY, {}, small_scene.camera), expected)
+    monkeypatch.setattr("torch._inductor.cpp_builder.get_cpp_compiler", none)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    kernels.library.cache_clear()
+    eye = torch.tensor([1.0, 2.0, 3.0])
+    try:
+        with pytest.warns(UserWarning, match="no C\\+\\+ compiler, relighting stays eager") as seen:
+            radiance = ptt.TransferRelighter(clustered_model)(SKY, {}, eye)
+        assert len(seen) == 1
+        assert torch.equal(radiance, ptt.TransferRelighter(clustered_model, compiled=False)(SKY, {}, eye))
+    finally:
+        kernels.library.cache_clear()
+
+
+def test_a_g_buffer_is_refused(relighter: ptt.TransferRelighter, small_scene: ptt.Scene) -> None:
+    assert small_scene.camera is not None
+    pixels = ptt.GBuffer.of(small_scene, small_scene.camera)
+    with pytest.raises(ValueError, match="TransferRelighter relights vertices: view must be a Camera or a tensor"):
+        relighter(SKY, {}, pixels)
 
 
 def test_refusals(relighter: ptt.TransferRelighter, small_scene: ptt.Scene) -> None:

@@ -140,7 +140,7 @@ def test_refuses(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) 
         ({"rays": 3}, "power of two"),
     ):
         with pytest.raises(ValueError, match=message):
-            ptt.TripleProductRelighter(small_scene, **arguments)  # type: ignore[arg-type]
+            ptt.TripleProductRelighter(small_scene, **arguments)
     with pytest.raises(ValueError, match="no region lid"):
         relighter(SKY, {"lid": ptt.lambert()}, small_scene.camera)
     with pytest.raises(ValueError, match="view must"):
@@ -177,7 +177,7 @@ def test_a_mixed_region_refuses(small_scene: ptt.Scene, relighter: ptt.TriplePro
         ptt.EnvMapRelighter(small_scene, ptt.LightRotation.build(8, normals=4))(
             SKY,
             {"ball": ptt.Mixed(a, b, torch.rand(4, 4))},
-            small_scene.camera,  # type: ignore[dict-item]
+            small_scene.camera,
         )
 
 
@@ -193,7 +193,8 @@ def test_storage(small_scene: ptt.Scene, storage: str, error: float) -> None:
             views=24,
             storage=storage,  # type: ignore[arg-type]
         )
-        return relighter(SKY, {"ball": ptt.blinn_phong(0.2, 0.5, 20.0)}, small_scene.camera)
+        radiance: Tensor = relighter(SKY, {"ball": ptt.blinn_phong(0.2, 0.5, 20.0)}, small_scene.camera)
+        return radiance
 
     exact = relit("float")
     rough = relit(storage)

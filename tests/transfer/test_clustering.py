@@ -17,9 +17,8 @@ from torch import Tensor, nn
 import ptt
 from ptt.models import slots
 from ptt.models.indirect import blurs, responses
-from ptt.ops import haar, harmonics, lobes, mesh, octahedral
+from ptt.ops import haar, harmonics, lobes, mesh, octahedral, plain
 from ptt.ops.sphere import Cube
-from ptt.relight import cluster_steps
 from ptt.scene.parts import Part
 from ptt.transfer.assembly import Transfer
 from ptt.transfer.bounces import CUTS
@@ -34,7 +33,7 @@ Functions = tuple[ptt.TensorBRDF, ptt.BRDFBasis]
 
 @pytest.fixture()
 def relighter(clustered_model: ptt.TransferModel) -> ptt.TransferRelighter:
-    return ptt.TransferRelighter(clustered_model)
+    return ptt.TransferRelighter(clustered_model, compiled=False)
 
 
 def model_of(
@@ -58,7 +57,7 @@ def ball(name: str, height: float, **fields: Any) -> Part:
 
 def lit(model: ptt.TransferModel, materials: Mapping[str, ptt.Material] | None = None) -> Tensor:
     """Radiance under the sky: finite."""
-    radiance = ptt.TransferRelighter(model)(SKY, materials or {}, EYE)
+    radiance: Tensor = ptt.TransferRelighter(model, compiled=False)(SKY, materials or {}, EYE)
     assert radiance.shape == model.positions.shape and radiance.isfinite().all()
     return radiance
 
@@ -145,7 +144,7 @@ def test_the_equations_written_out(which: str, clustered_model: ptt.TransferMode
     model = clustered_model if which == "grey" else coloured(glossy)
     materials = {**model.receivers.materials, "ball": ptt.blinn_phong((0.1, 0.5, 0.3), (0.6, 0.4, 0.2), 23.0)}
     light = ramp()
-    radiance = ptt.TransferRelighter(model)(light, {"ball": materials["ball"]}, EYE)
+    radiance = ptt.TransferRelighter(model, compiled=False)(light, {"ball": materials["ball"]}, EYE)
     assert any(slot.channel == 2 for slot in model.slots) == (which == "coloured")
     wo = nn.functional.normalize(EYE - model.positions, dim=1)
     seen = torch.nonzero((model.frames[:, 2] * wo).sum(1) > 0.05)[:, 0].tolist()
@@ -164,7 +163,7 @@ def tiny() -> ptt.RawTransfer:
 def test_as_many_eigenvectors_as_points_are_exact(tiny: ptt.RawTransfer, monkeypatch: pytest.MonkeyPatch) -> None:
     """One cluster a region, nothing left out: every point's own T0, to float32, under the same texels."""
     lighting = haar.analyse(SKY.project(Cube(16)).movedim(-1, 0))
-    monkeypatch.setattr(cluster_steps, "PLAIN", cluster_steps.PLAIN._replace(lighting=lambda *_: lighting))
+    monkeypatch.setattr(plain, "lighting", lambda *_: lighting)
     space = ptt.BRDFSpace.blinn_phong((2.0, 8.0, 32.0))
     brdf = ptt.TensorBRDF.fit(space, ranks=(3, 4, 4), separated=0)
     basis = ptt.BRDFBasis.fit(space, 1)
@@ -172,7 +171,9 @@ def test_as_many_eigenvectors_as_points_are_exact(tiny: ptt.RawTransfer, monkeyp
     whole = ptt.Clusters(10_000, max(tiny.receivers.counts), columns=6 * 16**2, storage=torch.float32)
     for coefficients in (64, None):
         exact, clustered = (
-            ptt.TransferRelighter(ptt.compress(direct, coefficients, brdf, basis, clusters))(SKY, {}, EYE)
+            ptt.TransferRelighter(ptt.compress(direct, coefficients, brdf, basis, clusters), compiled=False)(
+                SKY, {}, EYE
+            )
             for clusters in (None, whole)
         )
         assert ptt.relative_rmse(clustered, exact) < 1e-5
@@ -291,10 +292,11 @@ def test_memory(tiny: ptt.RawTransfer, glossy: Functions) -> None:
     ("storage", "rounding"), [(torch.float32, 1e-4), (torch.float16, 4e-3), (torch.bfloat16, 3e-2)]
 )
 def test_linear_in_light_and_black_in_the_dark(storage: torch.dtype, rounding: float, assembled: Transfer) -> None:
-    relighter = ptt.TransferRelighter(ptt.cluster(assembled, ptt.Clusters(30, 8, 32, 128, storage)))
+    relighter = ptt.TransferRelighter(ptt.cluster(assembled, ptt.Clusters(30, 8, 32, 128, storage)), compiled=False)
 
     def of(environment: ptt.Environment) -> Tensor:
-        return relighter(environment, {}, EYE)
+        radiance: Tensor = relighter(environment, {}, EYE)
+        return radiance
 
     whole = of(SKY)
     for factor in (1e-6, 1e6):
@@ -333,7 +335,7 @@ def test_caches_never_go_stale(relighter: ptt.TransferRelighter, small_scene: pt
     """Each input in turn changes, is changed in place, and is changed back; always as a fresh relighter says."""
 
     def check(environment: ptt.Environment, materials: dict[str, ptt.Material], view: Any) -> None:
-        fresh = ptt.TransferRelighter(relighter.model)
+        fresh = ptt.TransferRelighter(relighter.model, compiled=False)
         assert torch.equal(relighter(environment, materials, view), fresh(environment, materials, view))
 
     ball = small_scene.materials["ball"]
@@ -372,7 +374,7 @@ def test_caches_never_go_stale(relighter: ptt.TransferRelighter, small_scene: pt
 def double(small_bounced: ptt.RawTransfer, glossy: Functions) -> ptt.TransferRelighter:
     clusters = ptt.Clusters(points=60, eigenvectors=4, lighting=8, columns=32)
     functions = copy.deepcopy(glossy)  # .double() turns a model's parts in place
-    return ptt.TransferRelighter(ptt.compress(small_bounced, 16, *functions, clusters)).double()
+    return ptt.TransferRelighter(ptt.compress(small_bounced, 16, *functions, clusters), compiled=False).double()
 
 
 def test_gradients_reach_light_weights_and_exponent(double: ptt.TransferRelighter) -> None:
@@ -381,7 +383,7 @@ def test_gradients_reach_light_weights_and_exponent(double: ptt.TransferRelighte
 
     def loss(texels: Tensor, diffuse: Tensor, specular: Tensor, exponent: Tensor) -> Tensor:
         material = ptt.Material(diffuse, specular, ptt.BlinnPhong(exponent))
-        radiance = double(ptt.Environment(texels), {"ball": material}, EYE)
+        radiance: Tensor = double(ptt.Environment(texels), {"ball": material}, EYE)
         assert radiance.dtype == torch.float64
         return radiance[::7].square().sum()
 
@@ -424,22 +426,24 @@ def test_one_triangle(glossy: Functions) -> None:
     model = model_of([part], glossy)
     assert model.regions[0].slots == [] and model.regions[0].pairs == []
     lit(model)
-    radiance = ptt.TransferRelighter(model)(ptt.Environment.constant(2.0), {"t": ptt.lambert(0.3)}, EYE)
+    radiance = ptt.TransferRelighter(model, compiled=False)(ptt.Environment.constant(2.0), {"t": ptt.lambert(0.3)}, EYE)
     assert torch.allclose(radiance, torch.tensor(0.6), rtol=2e-3)
 
 
 @pytest.fixture(scope="module")
-def plain(glossy: Functions) -> ptt.TensorBRDF:
+def lobeless(glossy: Functions) -> ptt.TensorBRDF:
     return ptt.TensorBRDF.fit(glossy[0].space, ranks=(3, 8, 8), separated=0)
 
 
 @pytest.mark.parametrize("bounces", [0, 2])
-def test_a_tensor_without_lobes(bounces: int, tiny: ptt.RawTransfer, plain: ptt.TensorBRDF, glossy: Functions) -> None:
+def test_a_tensor_without_lobes(
+    bounces: int, tiny: ptt.RawTransfer, lobeless: ptt.TensorBRDF, glossy: Functions
+) -> None:
     """No cuts, no maps; and under the same light nearly what a tensor with lobes shows of dull materials."""
     raw = tiny if bounces else tiny.part(slice(None))
     best = ptt.Clusters(10_000, 42, 64, 1536, torch.float32)
     dull = {"ball": ptt.blinn_phong(0.3, 0.4, 3.0), "floor": ptt.blinn_phong(0.3, 0.4, 3.0)}
-    models = [ptt.compress(raw, 64, brdf, glossy[1], best) for brdf in (plain, glossy[0])]
+    models = [ptt.compress(raw, 64, brdf, glossy[1], best) for brdf in (lobeless, glossy[0])]
     assert all(region.cuts.shape[1] == 0 for region in models[0].clustered)
     assert [model.bounces for model in models] == [bounces] * 2
     without, with_lobes = (lit(model, dull) for model in models)
@@ -476,7 +480,7 @@ def test_no_editable_region(glossy: Functions) -> None:
 def test_slots_of_what_is_seen_alone(glossy: Functions) -> None:
     """A floor and a ball light each other, not themselves; a floor below sees the other's back, which sends nothing."""
     model = model_of([plane("floor", 0.0), ball("ball", 0.6), plane("cellar", -1.0)], glossy)
-    floor, above, cellar = model.regions
+    floor, above, cellar = model.clustered
 
     def regions(numbers: Sequence[int]) -> set[int]:
         return {model.slots[k].region for k in numbers}
@@ -513,7 +517,8 @@ def test_duplicated_points_look_alike(glossy: Functions) -> None:
 def test_the_size_of_a_scene_changes_nothing(scale: float, glossy: Functions) -> None:
     def of(scale: float) -> Tensor:
         parts = [replace(p, vertices=p.vertices * scale) for p in (plane("floor", 0.0), ball("ball", 0.6))]
-        return ptt.TransferRelighter(model_of(parts, glossy))(SKY, {}, EYE * scale)
+        radiance: Tensor = ptt.TransferRelighter(model_of(parts, glossy), compiled=False)(SKY, {}, EYE * scale)
+        return radiance
 
     assert ptt.relative_rmse(of(scale), of(1.0)) < 2e-3
 
@@ -556,11 +561,11 @@ def test_against_the_path_tracer(
         for b in (0, 2)
     ]
     at = (camera.toward(small_scene.vertices) * small_scene.normals).sum(1) > 0.05
-    whole = ptt.TransferRelighter(clustered_model)(SKY, {}, camera).double()
+    whole = ptt.TransferRelighter(clustered_model, compiled=False)(SKY, {}, camera).double()
     assert ptt.relative_rmse(whole[at], truth[1][at]) < 0.06
     best = ptt.Clusters(10_000, max(counts), 128, 16**2 * 6, torch.float32)
     once, twice = (
-        ptt.TransferRelighter(ptt.compress(raw, 64, *glossy, best))(SKY, {}, camera).double()
+        ptt.TransferRelighter(ptt.compress(raw, 64, *glossy, best), compiled=False)(SKY, {}, camera).double()
         for raw in (small_bounced.part(slice(None)), small_bounced)
     )
     assert ptt.relative_rmse(twice[at], truth[1][at]) < 0.035

@@ -17,7 +17,7 @@ from ptt.ops.constants import CHANNELS, GROUP, HARMONICS, WIDTH
 from ptt.ops.native.arguments import STORED, contiguous, of_type, side, square
 from ptt.ops.native.kernels import run
 from ptt.ops.native.operators import Conditions, operator, refusal
-from ptt.ops.relight import Arriving, Responses, Sent
+from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
 
 TRANSFER = (torch.float32, torch.float16, torch.bfloat16)
 """The types in which transfer is stored."""
@@ -122,7 +122,9 @@ _light_eigen = operator(
 # What eigen-points send out
 
 
-def eigen(arriving: Arriving, h: Tensor, pairs: Tensor, coupling: Tensor, responses: Responses, glossy: bool) -> Tensor:
+def eigen(
+    arriving: ArrivingLight, h: Tensor, pairs: Tensor, coupling: Tensor, responses: Responses, glossy: bool
+) -> Tensor:
     """Q and I (k, c, e, 1 + o + s), as `ptt.ops.relight.eigen`."""
     result: Tensor = _eigen(*arriving, h, pairs, coupling, *responses, glossy)
     return result
@@ -139,7 +141,7 @@ def _eigen_plain(
     to_harmonics: Tensor,
     glossy: bool,
 ) -> Tensor:
-    arriving = Arriving(direct, one, two)
+    arriving = ArrivingLight(direct, one, two)
     responses = Responses(to_factors, to_harmonics)
     return relight.eigen(arriving, h, pairs, coupling, responses, glossy).contiguous()
 
@@ -238,9 +240,9 @@ _eigen = operator(
 # From eigen-points to points
 
 
-def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Sent:
+def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> OutgoingLight:
     """Values as `ptt.ops.relight.expand`; those of the kernel are float16, scaled to its range, in smaller blocks."""
-    return Sent(*_expand(eigen, weights, cluster))
+    return OutgoingLight(*_expand(eigen, weights, cluster))
 
 
 def _expand_conditions(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Conditions:

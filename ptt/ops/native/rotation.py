@@ -19,7 +19,7 @@ from ptt.ops.native.kernels import run
 from ptt.ops.native.operators import Conditions, operator
 from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.rotation import Quantised, Resampling
-from ptt.ops.slices import Located, Slices
+from ptt.ops.slices import NormalLookup, Slices
 from ptt.ops.table import LARGEST, Table
 
 KEPT = (torch.float32, torch.float16, torch.uint8)
@@ -358,7 +358,7 @@ _quantised_rows = operator(
 # What slices reflect
 
 
-def reflected(light: Tensor, cut: Slices, first: Tensor, frames: Tensor, at: Located, eye: Tensor) -> Tensor:
+def reflected(light: Tensor, cut: Slices, first: Tensor, frames: Tensor, at: NormalLookup, eye: Tensor) -> Tensor:
     """B (v, c), as `ptt.ops.slices.reflected`; light is read in place where it has four channels."""
     points = (at.position, at.normal, at.near, at.weights, at.twist)
     result: Tensor = _reflected(light, cut.terms, cut.values, cut.views, first, frames, *points, eye)
@@ -379,7 +379,7 @@ def _reflected_plain(
     twist: Tensor,
     eye: Tensor,
 ) -> Tensor:
-    at = Located(position, normal, near, weights, twist)
+    at = NormalLookup(position, normal, near, weights, twist)
     return slices.reflected(light, Slices(terms, values, views), first, frames, at, eye).contiguous()
 
 

@@ -13,7 +13,7 @@ from ptt.ops.native.arguments import STORED, of_type
 from ptt.ops.native.kernels import run
 from ptt.ops.native.operators import Conditions, operator
 from ptt.ops.near import Near
-from ptt.ops.shade import Coats, Functions, Points
+from ptt.ops.shade import Functions, RegionCoats, ShadedPoints
 from ptt.ops.table import Table
 
 SEEN = {1: (1,), 4: (1, 3, 4), 8: (1, 3, 4)}
@@ -28,7 +28,7 @@ SCHEMA = (
 )
 
 
-def shade(functions: Functions, coats: Coats, at: Points) -> Tensor:
+def shade(functions: Functions, coats: RegionCoats, at: ShadedPoints) -> Tensor:
     """B (p, c), as `ptt.ops.shade.shade`."""
     light, visibility, dull, glossy = functions
     tables = (*light, visibility, dull, *glossy)
@@ -55,11 +55,11 @@ def _packed(
     region: Tensor,
     colour: Tensor,
     second: Tensor,
-) -> tuple[Functions, Coats, Points]:
+) -> tuple[Functions, RegionCoats, ShadedPoints]:
     """The arguments of the schema as the plain function takes them."""
     functions = Functions(Table(light, light_scale), visibility, dull, Table(glossy, glossy_scale))
     near = (Near(light_rows, light_weights), Near(seen_rows, seen_weights), Near(view_rows, view_weights))
-    return functions, Coats(diffuse, specular, first), Points(*near, region, colour, second)
+    return functions, RegionCoats(diffuse, specular, first), ShadedPoints(*near, region, colour, second)
 
 
 def _conditions(*arguments: Tensor) -> Conditions:

@@ -12,31 +12,31 @@ from ptt.ops.constants import CHANNELS, GROUP, HARMONICS, MOST_LOBES, TILE
 from ptt.ops.native.arguments import contiguous, of_type, side, square
 from ptt.ops.native.kernels import run
 from ptt.ops.native.operators import Conditions, operator
-from ptt.ops.relight import Sent
-from ptt.ops.view import Gloss, Points, Seen
+from ptt.ops.relight import OutgoingLight
+from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion
 
 SCHEMA = (
     "view(Tensor[] position, Tensor[] frame, Tensor?[] colour, Tensor[] cuts, Tensor[] place, Tensor[] eye, "
     "Tensor[] values, Tensor[] unit, Tensor?[] which, Tensor?[] rho, Tensor?[] axes, Tensor?[] specular, "
     "Tensor?[] maps, Tensor?[] turn, Tensor?[] blurs, Tensor outgoing) -> Tensor"
 )
-NO_GLOSS = (None,) * len(Gloss._fields)
+NO_GLOSS = (None,) * len(LitLobes._fields)
 
 
-def view(regions: Sequence[Seen], outgoing: Tensor) -> Tensor:
+def view(regions: Sequence[ViewedRegion], outgoing: Tensor) -> Tensor:
     """B (v, c), as `ptt.ops.view.view`; where a point is at the eye, its lobes are finite."""
-    rows = [(*r.points, r.eye, *r.sent, *(NO_GLOSS if r.gloss is None else r.gloss)) for r in regions]
+    rows = [(*r.points, r.eye, *r.sent, *(NO_GLOSS if r.lobes is None else r.lobes)) for r in regions]
     result: Tensor = _view(*map(list, zip(*rows, strict=True)), outgoing)
     return result
 
 
-def _regions(*columns: Sequence[Tensor | None]) -> list[Seen]:
+def _regions(*columns: Sequence[Tensor | None]) -> list[ViewedRegion]:
     """The regions whose tensors are given column by column, in the order of the schema."""
     found = []
     for position, frame, colour, cuts, place, eye, values, unit, *lobes in zip(*columns, strict=True):
-        points = Points(position, frame, colour, cuts, place)
-        gloss = None if lobes[0] is None else Gloss(*lobes)
-        found.append(Seen(points, eye, Sent(values, unit), gloss))
+        points = SurfaceBlocks(position, frame, colour, cuts, place)
+        gloss = None if lobes[0] is None else LitLobes(*lobes)
+        found.append(ViewedRegion(points, eye, OutgoingLight(values, unit), gloss))
     return found
 
 
@@ -59,12 +59,12 @@ def _kernel(*arguments: Sequence[Tensor | None]) -> Tensor:
     return out
 
 
-def _write(region: Seen, outgoing: Tensor, line: Tensor, out: Tensor) -> None:
+def _write(region: ViewedRegion, outgoing: Tensor, line: Tensor, out: Tensor) -> None:
     """Write the radiance of one region to out (v, 3); line (n, 3) is overwritten."""
     points, eye, sent, gloss = region
     b, _, rows, width = sent.values.shape
     factors = 1 + outgoing.shape[1]
-    lobes: dict[str, Tensor | None] = dict.fromkeys(Gloss._fields)
+    lobes: dict[str, Tensor | None] = dict.fromkeys(LitLobes._fields)
     if gloss is not None:
         lobes = {name: tensor.contiguous() for name, tensor in gloss._asdict().items()}
     run(
@@ -103,11 +103,11 @@ def _conditions(*arguments: Sequence[Tensor | None]) -> Conditions:
     yield square(len(outgoing)), "outgoing must be on a square grid"
     for region in _regions(*arguments[:-1]):
         yield from _of_points(region, 1 + outgoing.shape[1])
-        if region.gloss is not None:
-            yield from _of_lobes(region.gloss, region.points.cuts, region.sent.values.shape[2] - 1 - outgoing.shape[1])
+        if region.lobes is not None:
+            yield from _of_lobes(region.lobes, region.points.cuts, region.sent.values.shape[2] - 1 - outgoing.shape[1])
 
 
-def _of_points(region: Seen, factors: int) -> Conditions:
+def _of_points(region: ViewedRegion, factors: int) -> Conditions:
     points, eye, (values, unit), _ = region
     yield of_type(torch.float32, points.position, points.frame, points.colour, eye, unit), "points must be float32"
     yield of_type(torch.float16, values), "values must be float16, as the kernel of expand writes them"
@@ -126,7 +126,7 @@ def _of_points(region: Seen, factors: int) -> Conditions:
     yield unit.shape == (b,), "unit must be (b,)"
 
 
-def _of_lobes(gloss: Gloss, cuts: Tensor, harmonics: int) -> Conditions:
+def _of_lobes(gloss: LitLobes, cuts: Tensor, harmonics: int) -> Conditions:
     which, rho, axes, specular, maps, turn, blurs = gloss
     k = len(which)
     tilts = len(axes)

@@ -22,12 +22,11 @@ from ptt.ops.haar import Truncated
 from ptt.ops.native import kernels, operators
 from ptt.ops.near import Near
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
-from ptt.ops.relight import Arriving, Responses, Sent
-from ptt.ops.shade import Coats, Functions, Points
+from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
+from ptt.ops.shade import Functions, RegionCoats, ShadedPoints
 from ptt.ops.sphere import Cube
 from ptt.ops.table import stored
-from ptt.ops.view import Gloss, Seen
-from ptt.ops.view import Points as Surface
+from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion
 
 pytestmark = pytest.mark.usefixtures("built")
 
@@ -50,7 +49,7 @@ def light_eigen() -> None:
 
 
 def eigen() -> None:
-    arriving = Arriving(uniform(2, 3, 4, 5), uniform(2, 3, 2, 4, 16), uniform(2, 3, 1, 4))
+    arriving = ArrivingLight(uniform(2, 3, 4, 5), uniform(2, 3, 2, 4, 16), uniform(2, 3, 1, 4))
     for glossy in (False, True):
         native.eigen(
             arriving,
@@ -69,15 +68,15 @@ def expand() -> None:
 def view() -> None:
     blocks, w = 2, 32
     n = blocks * w
-    surface = Surface(
+    surface = SurfaceBlocks(
         uniform(3, n),
         torch.eye(3)[:, :, None].repeat(1, 1, n),
         None,
         torch.randint(0, 2**31, (n, 64), generator=generator()).int(),
         torch.randperm(n, generator=generator())[: n - 3],
     )
-    sent = Sent(uniform(blocks, 3, 6 + 16, w).half(), uniform(blocks))
-    gloss = Gloss(
+    sent = OutgoingLight(uniform(blocks, 3, 6 + 16, w).half(), uniform(blocks))
+    gloss = LitLobes(
         torch.tensor([0, 2]),
         uniform(20, 2),
         0.1 + uniform(20, 4),
@@ -86,10 +85,10 @@ def view() -> None:
         torch.eye(3),
         uniform(2, 16),
     )
-    dull = Sent(uniform(blocks, 3, 6, w).half(), uniform(blocks))
+    dull = OutgoingLight(uniform(blocks, 3, 6, w).half(), uniform(blocks))
     coloured = surface._replace(colour=uniform(3, n))
     eye = torch.tensor([0.2, 0.4, 5.0])
-    native.view([Seen(surface, eye, sent, gloss), Seen(coloured, eye, dull, None)], uniform(36, 5))
+    native.view([ViewedRegion(surface, eye, sent, gloss), ViewedRegion(coloured, eye, dull, None)], uniform(36, 5))
 
 
 def resampling() -> rotation.Resampling:
@@ -134,8 +133,8 @@ def shade() -> None:
             uniform(n),
             stored(uniform(6, n), storage),
         )
-        coats = Coats(uniform(1, 2, 3), uniform(1, 2, 3), torch.zeros(1, 2, dtype=torch.int32))
-        at = Points(
+        coats = RegionCoats(uniform(1, 2, 3), uniform(1, 2, 3), torch.zeros(1, 2, dtype=torch.int32))
+        at = ShadedPoints(
             lookup, lookup, lookup, torch.zeros(points, dtype=torch.int32), uniform(points, 3), torch.zeros(points)
         )
         native.shade(functions, coats, at)

@@ -18,13 +18,13 @@ from ptt.ops import native, relight
 from ptt.ops import view as plain
 from ptt.ops.native import kernels
 from ptt.ops.native.relight import TRANSFER
-from ptt.ops.relight import Arriving, Responses, Sent
+from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
 from ptt.ops.sphere import Cube, turn
-from ptt.ops.view import Gloss, Points, Seen, light_about
+from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion, light_about
 
 W = 32
 TILTS = 20
-Inputs = tuple[list[Seen], Tensor]
+Inputs = tuple[list[ViewedRegion], Tensor]
 
 
 def inputs(
@@ -36,7 +36,7 @@ def inputs(
     cuts = torch.randint(-(2**31), 2**31, (n, 64), generator=g).int()
     place = torch.randperm(n, generator=g)[: n - 5]
     colour = None if white else torch.rand(3, n, generator=g)
-    points = Points(torch.randn(3, n, generator=g), frame, colour, cuts, place)
+    points = SurfaceBlocks(torch.randn(3, n, generator=g), frame, colour, cuts, place)
     eye = torch.nn.functional.normalize(torch.randn(3, n, generator=g), dim=0) if distant else torch.ones(3)
     rho = torch.rand(turns * TILTS, k, generator=g)
     axes = 0.1 + torch.rand(TILTS, 2 * k, generator=g)
@@ -44,9 +44,9 @@ def inputs(
     which = torch.randperm(4, generator=g)[:k]
     turn = rotations(1, g)[0].contiguous()
     blurs = torch.rand(k, s, generator=g)
-    gloss = Gloss(which, rho, axes, torch.rand(3, generator=g), maps, turn, blurs) if k else None
-    sent = Sent(torch.randn(b, 3, o + s, W, generator=g).half(), torch.rand(b, generator=g))
-    return [Seen(points, eye, sent, gloss)], torch.randn(14 * 14, o - 1, generator=g)
+    gloss = LitLobes(which, rho, axes, torch.rand(3, generator=g), maps, turn, blurs) if k else None
+    sent = OutgoingLight(torch.randn(b, 3, o + s, W, generator=g).half(), torch.rand(b, generator=g))
+    return [ViewedRegion(points, eye, sent, gloss)], torch.randn(14 * 14, o - 1, generator=g)
 
 
 def rotations(n: int, g: torch.Generator) -> Tensor:
@@ -59,13 +59,13 @@ def double(x: Inputs) -> Inputs:
     return [in_double(region) for region in regions], outgoing.double()
 
 
-def in_double(region: Seen) -> Seen:
+def in_double(region: ViewedRegion) -> ViewedRegion:
     points, eye, sent, gloss = region
     if gloss is not None:
-        gloss = Gloss(*(t.double() if isinstance(t, Tensor) and t.is_floating_point() else t for t in gloss))
+        gloss = LitLobes(*(t.double() if isinstance(t, Tensor) and t.is_floating_point() else t for t in gloss))
     colour = None if points.colour is None else points.colour.double()
     points = points._replace(position=points.position.double(), frame=points.frame.double(), colour=colour)
-    return Seen(points, eye.double(), Sent(*(t.double() for t in sent)), gloss)
+    return ViewedRegion(points, eye.double(), OutgoingLight(*(t.double() for t in sent)), gloss)
 
 
 @pytest.fixture
@@ -131,7 +131,9 @@ def test_a_point_at_the_eye_is_finite(built: None) -> None:
     ],
     ids=["gradient", "strided", "anisotropic"],
 )
-def test_what_the_kernel_is_not_for_goes_the_plain_way(calls: list[int], change: Callable[[Seen], Seen]) -> None:
+def test_what_the_kernel_is_not_for_goes_the_plain_way(
+    calls: list[int], change: Callable[[ViewedRegion], ViewedRegion]
+) -> None:
     (region,), outgoing = inputs()
     x = [region, change(region)], outgoing
     got = native.view(*x)
@@ -207,11 +209,11 @@ def test_light_eigen_agrees(alone: None, stored: torch.dtype, k: int, rows: int,
     close(native.light_eigen(transfer, lighting, columns), PLAIN[1](exact, lighting.double(), columns))
 
 
-def arriving(k: int, e: int, i: int, q: int, p: int) -> tuple[Arriving, Tensor, Tensor, Tensor, Responses]:
+def arriving(k: int, e: int, i: int, q: int, p: int) -> tuple[ArrivingLight, Tensor, Tensor, Tensor, Responses]:
     g = torch.Generator().manual_seed(k + e + i + q + p)
     shapes = ((k, 3, e, i), (k, 3, q, e, 16), (k, 3, p, e), (3, q), (3, p), (3, i + 2, i), (16, i), (16, 16))
     *three, h, pairs, coupling, a, b = (torch.randn(shape, generator=g) for shape in shapes)
-    return Arriving(*three), h, pairs, coupling, Responses(a, b)
+    return ArrivingLight(*three), h, pairs, coupling, Responses(a, b)
 
 
 @pytest.mark.parametrize("glossy", [True, False])

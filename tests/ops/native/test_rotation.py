@@ -10,7 +10,7 @@ from ptt.materials.shapes import BlinnPhong, Ward
 from ptt.ops import haar, native, rotation, slices
 from ptt.ops.geodesic import Geodesic
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
-from ptt.ops.slices import Located, Slices
+from ptt.ops.slices import NormalLookup, Slices
 
 pytestmark = pytest.mark.usefixtures("built")
 TIGHT = {"rtol": 0, "atol": 2e-6}
@@ -92,7 +92,7 @@ def test_quantised(n: int, m: int, threshold: int) -> None:
     assert float((off > 0).float().mean()) < 1e-4
 
 
-def view(count: int, views: int = 8, twists: int = 1) -> tuple[Tensor, Slices, Tensor, Tensor, Located]:
+def view(count: int, views: int = 8, twists: int = 1) -> tuple[Tensor, Slices, Tensor, Tensor, NormalLookup]:
     g = torch.Generator().manual_seed(0)
     sampled = rotation.frames_of(Octahedral(4).directions().reshape(-1, 3)).float()
     shape = BlinnPhong(20.0) if twists == 1 else Ward(0.1, 0.3)

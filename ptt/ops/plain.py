@@ -1,0 +1,28 @@
+"""The plain functions that `ptt.ops.native` has kernels for, by the same names: their oracles and derivatives."""
+
+from ptt.ops.near import of_frames, of_texels, of_views
+from ptt.ops.relight import eigen, expand, light_eigen, lighting
+from ptt.ops.rotation import local_light, quantised, resampled_light, resampled_values, rotated_light
+from ptt.ops.shade import shade
+from ptt.ops.slices import reflected
+from ptt.ops.triple import adaptive
+from ptt.ops.view import view
+
+__all__ = [
+    "adaptive",
+    "eigen",
+    "expand",
+    "light_eigen",
+    "lighting",
+    "local_light",
+    "of_frames",
+    "of_texels",
+    "of_views",
+    "quantised",
+    "reflected",
+    "resampled_light",
+    "resampled_values",
+    "rotated_light",
+    "shade",
+    "view",
+]

@@ -1,0 +1,107 @@
+"""What the three relighters share: one signature, three cached steps, one way to name materials and views."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from functools import partial
+from typing import Any, ClassVar
+
+from torch import Tensor, nn
+
+from ptt.imaging.gbuffer import GBuffer
+from ptt.light.environment import Environment
+from ptt.materials.material import Material, Mixed, materials_of_regions
+from ptt.models.cache import Cache, watched
+from ptt.ops.compiling import uncompiled
+from ptt.relight.viewpoint import View, eye_of
+
+
+class Relighter(nn.Module, ABC):
+    """relighter(environment, materials, view) -> radiance (v, 3), linear RGB, in the map's units.
+
+    Light, materials and view change apart from each other: the results of each step are kept for as long as what they
+    were made from is unchanged, and never longer. Nobody manages caches.
+
+        light    incident = light_step(environment)
+        BRDF     exitant = brdf_step(incident, materials, points)
+        view     radiance = view_step(exitant, points, eye)
+
+    `torch.compile(relighter)` keeps the kernels, and fuses what is around them in the BRDF and the view step.
+    """
+
+    pixels: ClassVar[bool] = True
+    """Whether a view may be a `GBuffer`."""
+    mixed: ClassVar[bool] = False
+    """Whether a region may have two materials."""
+
+    def __init__(self, compiled: bool) -> None:
+        super().__init__()
+        self.compiled = compiled
+        self._incident = Cache()
+        self._exitant = Cache()
+
+    @uncompiled
+    def forward(self, environment: Environment, materials: Mapping[str, Material], view: View) -> Tensor:
+        """Radiance (v, 3) of every vertex, or (p, 3) of every pixel of a `GBuffer`, toward the viewer.
+
+        environment: the light
+        materials: by region; a region that is left out has the scene's own
+        view: a Camera, an eye (3,), directions (v, 3) from the vertices to the viewer, or a GBuffer
+
+        Points that face away have the radiance of the mirrored direction, so that silhouettes interpolate well.
+
+        Raises:
+            ValueError: an unknown region, what is no material, or a view of another shape; what a relighter cannot
+                show is named in its own documentation.
+        """
+        if isinstance(view, GBuffer) and not self.pixels:
+            raise ValueError(f"{type(self).__name__} relights vertices: view must be a Camera or a tensor")
+        chosen = self.chosen(materials)
+        eye = eye_of(view, self.positions)
+        points = self.points(view, eye, chosen)
+        return self.view_step(self.exitant(environment, chosen, points), points, eye)
+
+    @uncompiled
+    def incident(self, environment: Environment) -> Any:
+        """The result of the light step, which depends on the light alone."""
+        inputs = environment, watched(*self.sources())
+        return self._incident(inputs, partial(self.light_step, environment))
+
+    @uncompiled
+    def exitant(self, environment: Any, materials: Mapping[str, Any], points: Any = None) -> Any:
+        """The result of the BRDF step, which depends on the light and the materials (of every region, in order)."""
+        incident = self.incident(environment)
+        inputs = incident, dict(materials), watched(*self.sources()), points
+        return self._exitant(inputs, partial(self.brdf_step, incident, list(materials.values()), points))
+
+    def chosen(self, materials: Mapping[str, Any]) -> dict[str, Any]:
+        """The materials of every region, in their order: the given ones, else its own."""
+        return materials_of_regions(self.materials, materials, self.mixed)
+
+    @property
+    @abstractmethod
+    def materials(self) -> Mapping[str, Material | Mixed]:
+        """The scene's own materials, by region."""
+
+    @property
+    @abstractmethod
+    def positions(self) -> Tensor:
+        """The vertices (v, 3) that are relit."""
+
+    @abstractmethod
+    def sources(self) -> list[nn.Module]:
+        """The modules whose buffers the light and the BRDF step read."""
+
+    def points(self, view: View, eye: Tensor, materials: Mapping[str, Any]) -> Any:
+        """What a view shows, vertices or pixels, as the steps take it; None where it is always the same."""
+        return None
+
+    @abstractmethod
+    def light_step(self, environment: Environment) -> Any: ...
+
+    @abstractmethod
+    def brdf_step(self, incident: Any, materials: list[Any], points: Any) -> Any: ...
+
+    @abstractmethod
+    def view_step(self, exitant: Any, points: Any, eye: Tensor) -> Tensor: ...
