@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -176,21 +177,22 @@ def speed(table: Table, data: Path, stride: int) -> None:
     camera = scene.camera
     name = scene.regions[0].name
     glossy = ptt.blinn_phong(0.3, 0.4, 20.0)
-    for compiled in (False, True):
-        relighter = ptt.TransferRelighter(model, compiled=compiled)
+    for form in ("eager", "torch.compile"):
+        relighter: Any = ptt.TransferRelighter(model)
+        if form == "torch.compile":
+            relighter = torch.compile(relighter)
         relighter(light, {name: glossy}, camera)
         eyes = iter([camera.orbited(k) for k in range(1, 200)])
 
-        def view(r: ptt.TransferRelighter = relighter, eyes: Iterator[ptt.Camera] = eyes) -> object:
+        def view(r: Any = relighter, eyes: Iterator[ptt.Camera] = eyes) -> object:
             return r(light, {name: glossy}, next(eyes))
 
-        def brdf(r: ptt.TransferRelighter = relighter, steps: Iterator[int] = STEPS) -> object:
+        def brdf(r: Any = relighter, steps: Iterator[int] = STEPS) -> object:
             return r(light, {name: ptt.blinn_phong(0.3, 0.4, 20 + next(steps) / 100)}, camera)
 
-        def lighting(r: ptt.TransferRelighter = relighter, steps: Iterator[int] = STEPS) -> object:
+        def lighting(r: Any = relighter, steps: Iterator[int] = STEPS) -> object:
             return r(light.rotated(y=next(steps)), {name: glossy}, camera)
 
-        form = "compiled" if compiled else "eager"
         o = 25
         i = 25
         for what, function, read in (

@@ -14,10 +14,10 @@ import torch
 from torch import Tensor
 
 import ptt
+from bench.forms import four_forms
 from bench.table import Table, median_seconds, read_bandwidth, setting
 from ptt.materials import shapes
-from ptt.ops import mesh, relight
-from ptt.relight.cluster_steps import PLAIN
+from ptt.ops import mesh
 from ptt.scene.parts import Part, join
 
 STEPS = count(1)  # no two frames are alike
@@ -95,12 +95,23 @@ def fused(
     light: ptt.Environment,
     model: ptt.TransferModel,
 ) -> None:
-    """The plain view step as torch.compile makes it."""
-    relighter = ptt.TransferRelighter(model)
-    relighter.steps._ops = PLAIN._replace(view=relight.compiled(PLAIN.view))
-    frame = steps(relighter, scene, light, material)["view"]
-    how = f"paper settings, lobes included, {material.shape}; {setting()}"
-    table.row(f"{name}, torch.compile, view", 1 / median_seconds(frame, 20), "frames/s", how)
+    """The four forms of the relighter, and what torch.compile alone spends on gathers."""
+    own = dressed(scene, material)
+    edited = next(r.name for r in scene.regions if r.editable)
+
+    def edit(k: int) -> dict[str, ptt.Material]:
+        share = 1 - 1e-4 * (k % 1000)
+        return own | {edited: ptt.Material(material.diffuse * share, material.specular * share, material.shape)}
+
+    four_forms(
+        table,
+        name,
+        lambda compiled: ptt.TransferRelighter(model, compiled),
+        light,
+        edit,
+        lambda k: scene.camera.orbited(0.37 * k),
+        f"{len(scene.vertices)} vertices, paper settings, lobes included, {material.shape}",
+    )
 
 
 def bytes_read(
@@ -110,7 +121,7 @@ def bytes_read(
     materials: Mapping[str, ptt.Material],
 ) -> dict[str, float]:
     """What a frame must read at least, step by step: tensors once each, and of the cuts a cache line a point."""
-    exitant = relighter.exitant(light, materials)
+    exitant = relighter.exitant(light, relighter.chosen(materials))
     points = sum(len(region.place) for region in model.clustered)
     view = sum(sent.values.nbytes for sent in exitant.sent) + points * (12 * 4 + LINE)
     brdf = sum(region.weights.nbytes for region in model.clustered)

@@ -23,6 +23,7 @@ from torch import Tensor
 import ptt
 from bench import rotation_peers as peers
 from bench import rotation_pictures as pictures
+from bench.forms import four_forms
 from bench.rotation_errors import (
     Body,
     accuracy,
@@ -188,8 +189,8 @@ def forms(table: Table, scene: ptt.Scene, light: ptt.Environment, n: int) -> Non
     relighter = ptt.EnvMapRelighter(scene, ptt.LightRotation.build(n, 32))
     shape = ptt.fitted("gold-metallic-paint").shape
     assert shape is not None and scene.camera is not None
-    at = relighter.placed[0].at
-    cut = relighter._slices(shape)
+    at = relighter.points(scene.camera, torch.zeros(3), {})[0].lookup
+    cut = relighter.slices_of(shape)
     assert cut is not None
     args = relighter.incident(light).local, cut, slices.first_slice(cut, at.twist), relighter.rotation.frames, at
 
@@ -211,6 +212,25 @@ def forms(table: Table, scene: ptt.Scene, light: ptt.Environment, n: int) -> Non
         took = median_seconds(lambda f=step: f(*args, eye), 5)  # type: ignore[misc]
         off = ptt.relative_rmse(step(*args, eye), exact)
         table.row(f"view step, {name}", 1e3 * took, "ms", f"off the kernel by {off:.1e}; {how}")
+    material = ptt.fitted("gold-metallic-paint")
+    name = scene.regions[0].name
+
+    def relighter_of(compiled: bool) -> ptt.EnvMapRelighter:
+        rotation = ptt.LightRotation.build(n, 32, compiled=compiled)
+        return ptt.EnvMapRelighter(scene, rotation, compiled=compiled)
+
+    four_forms(
+        table,
+        "forms, dragon",
+        lambda compiled: ptt.EnvMapRelighter(
+            scene, ptt.LightRotation.build(n, 32, compiled=compiled), compiled=compiled
+        ),
+        light,
+        lambda k: {name: ptt.Material(material.diffuse, material.specular * (1 - 1e-4 * (k % 1000)), material.shape)},
+        lambda k: scene.camera.orbited(0.37 * k),
+        how,
+        5,
+    )
 
 
 def extremes(table: Table, ball: ptt.Scene) -> None:

@@ -223,7 +223,7 @@ def cuts(table: Table, bodies: Sequence[Body], light: ptt.Environment, n: int) -
                     relighter = ptt.EnvMapRelighter(bodies[0].scene, rotate, terms=value)
                 else:
                     relighter = ptt.EnvMapRelighter(bodies[0].scene, rotate, rank=value)
-                cut = relighter._cut(shape, torch.device("cpu"))
+                cut = relighter.slices_of(shape)
                 seconds = time.perf_counter() - start
                 assert cut is not None
                 what = f"slices, {material}, {kind} {value}"

@@ -24,12 +24,13 @@ from torch import Tensor
 
 import ptt
 from bench import triple_pictures
+from bench.forms import four_forms
 from bench.table import Table, median_seconds, read_bandwidth, setting
 from ptt import reference
 from ptt.models.cache import Cache
 from ptt.ops import geodesic, haar, local, mesh, native, triple
 from ptt.ops.geodesic import Geodesic
-from ptt.ops.shade import Functions, Points
+from ptt.ops.shade import Functions, ShadedPoints
 from ptt.relight.triple_relighter import Storage
 from ptt.scene.parts import Part
 
@@ -69,6 +70,7 @@ def main() -> None:
     kept(table, name, scene, next(reversed(lights.values())), quick)
     extremes(table, name, scene)
     coefficients(table, name, scene, lights, 30 if quick else 200, 256 if quick else 2048, 3 if quick else 4)
+    forms(table, name, scene, next(reversed(lights.values())), quick)
     formulas(table)
     if not quick:
         triple_pictures.all_figures(table, data)
@@ -116,7 +118,7 @@ def frames(
             relighter(light, GIVEN, pixels)
 
             def another_view(relighter: ptt.TripleProductRelighter = relighter) -> None:
-                relighter._view = Cache()
+                relighter._viewed = Cache()
                 relighter(light, GIVEN, pixels)
 
             def another_buffer(relighter: ptt.TripleProductRelighter = relighter) -> None:
@@ -143,7 +145,28 @@ def frames(
                 table.row(f"{what}, an edited BRDF, {kind_of}", took, "s", how, "<= 0.2", paper="2 to 3 s")
 
 
-def bytes_of(functions: Functions, at: Points) -> int:
+def forms(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, quick: bool) -> None:
+    """The four forms of the relighter, per pixel; the eye moves, the G-buffer stays."""
+    camera = replace(scene.camera, width=96 if quick else 640, height=72 if quick else 480)
+    pixels = ptt.GBuffer.of(scene, camera)
+    body = GIVEN["body"]
+
+    def edit(k: int) -> dict[str, ptt.Material]:
+        return GIVEN | {"body": ptt.Material(body.diffuse, body.specular * (1 - 1e-4 * (k % 1000)), body.shape)}
+
+    four_forms(
+        table,
+        f"forms, {name}, 320",
+        lambda compiled: ptt.TripleProductRelighter(scene, 2, compiled=compiled),
+        light,
+        edit,
+        lambda k: replace(pixels, camera=camera.orbited(0.01 * k)),
+        f"{len(scene.vertices)} vertices, {len(pixels.pixel)} pixels of {camera.width} x {camera.height}",
+        5,
+    )
+
+
+def bytes_of(functions: Functions, at: ShadedPoints) -> int:
     """What a frame reads and writes: each row of the tables once, and what it knows of every pixel."""
     light, visibility, _, glossy = functions
     tables = ((at.light, light.values), (at.seen, visibility), (at.view, glossy.values))

@@ -152,7 +152,8 @@ def lookups() -> None:
 
 def adaptive() -> None:
     full = haar.truncate(torch.randn(6, 80, generator=generator()), 12)
-    native.adaptive(*(Truncated(full.indices, full.values + k) for k in range(3)), 80)
+    f, g, h = (Truncated(full.indices, full.values + k) for k in range(3))
+    native.adaptive(f, g, h, 80)
 
 
 USES = (
@@ -174,7 +175,7 @@ class Calls(TorchDispatchMode):
     """A record of the calls of ptt's operators."""
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__()  # type: ignore[no-untyped-call]
         self.made: list[tuple[Any, tuple[Any, ...]]] = []
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
@@ -187,7 +188,8 @@ def calls(use: Callable[[], None]) -> list[tuple[Any, tuple[Any, ...]]]:
     with Calls() as recorded, native.refusals() as found:
         use()
     assert not found  # by kernels
-    return recorded.made
+    made: list[tuple[Any, tuple[Any, ...]]] = recorded.made
+    return made
 
 
 @pytest.mark.parametrize("use", USES, ids=lambda use: use.__name__)
@@ -250,7 +252,7 @@ def test_operators_are_one_node_of_a_graph(use: Callable[[], None]) -> None:
     """torch.compile with fullgraph keeps the kernel and changes nothing."""
     for operator, arguments in calls(use):
         torch._dynamo.reset()  # each operator is another function to torch.compile, which takes eight
-        got = torch.compile(operator, fullgraph=True, backend="aot_eager")(*arguments)
+        got = torch.compile(operator, fullgraph=True, backend="aot_eager")(*arguments)  # type: ignore[no-untyped-call]
         wanted = operator(*arguments)
         pairs = zip(got, wanted, strict=True) if isinstance(wanted, tuple) else [(got, wanted)]
         assert all(torch.equal(a, b) for a, b in pairs)

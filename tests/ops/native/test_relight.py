@@ -8,6 +8,7 @@ import threading
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -222,8 +223,9 @@ def arriving(k: int, e: int, i: int, q: int, p: int) -> tuple[ArrivingLight, Ten
 )
 def test_eigen_agrees(alone: None, sizes: tuple[int, ...], glossy: bool) -> None:
     x = arriving(*sizes)
-    exact = [type(t)(*(s.double() for s in t)) if isinstance(t, tuple) else t.double() for t in x]
-    close(native.eigen(*x, glossy), PLAIN[2](*exact, glossy), 1e-5)
+    exact: list[Any] = [type(t)(*(s.double() for s in t)) if isinstance(t, tuple) else t.double() for t in x]
+    plain_eigen: Callable[..., Tensor] = PLAIN[2]
+    close(native.eigen(*x, glossy), plain_eigen(*exact, glossy), 1e-5)
 
 
 @pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])

@@ -1,0 +1,79 @@
+"""The four forms of a relighter in one run: eager, torch.compile alone, kernels, torch.compile with kernels."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from itertools import count
+from typing import Any
+
+import torch
+
+import ptt
+from bench.table import Table, setting
+from ptt.relight.relighter import Relighter
+from ptt.relight.viewpoint import View
+
+FORMS = {
+    "eager": (False, False),
+    "torch.compile alone": (False, True),
+    "kernels": (True, False),
+    "torch.compile with kernels": (True, True),
+}
+"""By kernels or by torch, and whether torch.compile fuses what there is."""
+
+NUMBERS = count(1)  # no two changes are alike
+
+
+def four_forms(
+    table: Table,
+    name: str,
+    make: Callable[[bool], Relighter],
+    light: ptt.Environment,
+    material: Callable[[int], dict[str, ptt.Material]],
+    view: Callable[[int], View],
+    how: str,
+    repeats: int = 15,
+) -> None:
+    """Rows of the time of a frame after a change of the view, of a material, or of the light, in each form.
+
+    The forms take turns, so that the machine's mood is theirs alike.
+
+    make: a relighter, by kernels or by torch alone; material, view: the k-th that the user chooses
+    """
+    relighters = {form: made(make(kernels), fused) for form, (kernels, fused) in FORMS.items()}
+    for step, change in changes(light, material, view).items():
+        seconds: dict[str, list[float]] = {form: [] for form in FORMS}
+        for repeat in range(-2, repeats):
+            for form, relighter in relighters.items():
+                inputs = change(next(NUMBERS))
+                start = time.perf_counter()
+                relighter(*inputs)
+                if repeat >= 0:  # the first two compile, and fill the caches
+                    seconds[form].append(time.perf_counter() - start)
+        median = {form: statistics.median(taken) for form, taken in seconds.items()}
+        for form, taken in median.items():
+            table.row(f"{name}, {step} changes, {form}", 1e3 * taken, "ms", f"{how}; {setting()}")
+        ratio = median["torch.compile with kernels"] / median["kernels"]
+        aside = f"median of {repeats} frames each, by turns; {setting()}"
+        table.row(f"{name}, {step} changes, torch.compile with kernels over kernels", ratio, "", aside, "<= 1.03")
+
+
+def made(relighter: Relighter, fused: bool) -> Any:
+    """The relighter, or torch.compile of it."""
+    torch._dynamo.config.recompile_limit = 64  # all forms share the code of the steps
+    return torch.compile(relighter) if fused else relighter
+
+
+def changes(
+    light: ptt.Environment, material: Callable[[int], dict[str, ptt.Material]], view: Callable[[int], View]
+) -> dict[str, Callable[[int], tuple[ptt.Environment, dict[str, ptt.Material], View]]]:
+    """What a relighter is given for the k-th frame of each kind."""
+    given = material(0)
+    camera = view(0)
+    return {
+        "view": lambda k: (light, given, view(k)),
+        "material": lambda k: (light, material(k), camera),
+        "light": lambda k: (light.rotated(y=0.7 * k), given, camera),
+    }

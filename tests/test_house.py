@@ -1,0 +1,73 @@
+"""The house: rooms by subject, arrows that run one way, nothing imported late, no name that hides a module."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+
+import pytest
+
+import ptt
+from bench import house
+
+MOST_ROOMS = 15
+MOST_FLOORS = 8
+
+
+def test_there_are_few_rooms() -> None:
+    rooms = house.rooms()
+    assert len(rooms) <= MOST_ROOMS, sorted(rooms)
+
+
+def test_no_circle_and_few_floors() -> None:
+    """Rooms stand on those that they import; a circle has no floor."""
+    assert not house.circles(house.arrows())
+    assert house.floors() <= MOST_FLOORS
+
+
+def test_no_circle_of_files() -> None:
+    assert not house.circles(house.file_arrows())
+
+
+@pytest.mark.parametrize(
+    ("room", "may_import"),
+    [
+        ("ops", set()),
+        ("io", set()),
+        ("materials", {"ops"}),
+        ("light", {"ops", "io"}),
+        ("scene", {"ops", "io", "light", "materials"}),
+        ("models", {"ops", "io", "light", "materials", "scene"}),
+        ("imaging", {"ops", "io", "light", "materials", "scene"}),
+        ("reference", {"ops", "io", "light", "materials", "scene"}),
+        ("transfer", {"ops", "io", "light", "materials", "scene", "models"}),
+        ("relight", {"ops", "io", "light", "materials", "scene", "models", "imaging"}),
+    ],
+)
+def test_no_arrow_runs_upward(room: str, may_import: set[str]) -> None:
+    """Data flows scene -> transfer -> compressed model -> relight -> image; nothing flows back."""
+    assert house.arrows()[room] <= may_import
+
+
+def test_nothing_of_ptt_is_imported_late() -> None:
+    """No import of ptt inside a function, or for type checkers alone, to dodge a circle."""
+    assert not house.late_imports()
+
+
+def test_scripts_import_the_package_and_the_command_line_alone() -> None:
+    assert house.arrows()["scripts"] <= {"ptt", "cli"}
+
+
+def test_no_public_name_hides_a_module() -> None:
+    """`ptt.x` is a module of that name, or there is none: `import ptt.x` never gives a function."""
+    for package in [ptt, *(importlib.import_module(f"ptt.{room}") for room in house.packages())]:
+        for module in pkgutil.iter_modules(package.__path__):
+            found = getattr(package, module.name, None)
+            assert found is None or type(found).__name__ == "module", f"{package.__name__}.{module.name}"
+
+
+def test_the_graph_sees_a_circle() -> None:
+    """The search itself: two circles, and a chain of three floors."""
+    graph = {"a": {"b"}, "b": {"a"}, "c": {"a", "d"}, "d": set(), "e": {"e"}}
+    assert sorted(map(sorted, house.circles(graph))) == [["a", "b"], ["e"]]
+    assert house.height({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == 3
