@@ -10,11 +10,12 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from ptt.ops.compiling import opaque, uncompiled
+from ptt.ops.compiling import in_python, opaque, uncompiled
 
 SMALL = 64  # tensors of up to this many elements are compared by value
 
 
+@in_python
 class Watch:
     """Tensors that are equal to themselves alone, and only until one is written to."""
 
@@ -34,6 +35,7 @@ def watched(*modules: nn.Module) -> Watch:
     return Watch(buffer for part in modules for buffer in part._buffers.values() if buffer is not None)
 
 
+@in_python
 class Cache:
     """Remembers the last result of one step."""
 

@@ -19,6 +19,7 @@ from torch import Tensor, nn
 
 from ptt.io.saved import Shapes
 from ptt.models.indirect import ORDER
+from ptt.ops.compiling import in_python
 from ptt.ops.memory import in_large_pages
 from ptt.ops.octahedral import Octahedral, tiles
 from ptt.ops.tucker import Tucker, multiply
@@ -45,6 +46,7 @@ class ClusterTensors(NamedTuple):
     two: Any | None = None
 
 
+@in_python
 class ClusteredTransfer(nn.Module):
     """k clusters with e eigen-points each, and which slots light the points: slots (q,) after one reflection.
 

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from ptt.io import saved
 from ptt.models.cache import Cache, watched
 from ptt.ops import native, plain, rotation
-from ptt.ops.compiling import opaque, uncompiled
+from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
 from ptt.ops.rotation import SAMPLES, Quantised, Resampling
 
@@ -33,6 +33,7 @@ LARGEST_INT16 = 32767  # what the largest number that R can have is stored as
 TABLES = {"factored": ("starts", "reads"), "resample": (), "matrix": ("starts", "columns", "numbers", "unit")}
 
 
+@in_python
 class LightRotation(nn.Module):
     """rotation(coefficients (c, n, n)) -> local light (f, M, c), both in Haar coefficients (`ops.haar`).
 

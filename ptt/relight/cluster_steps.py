@@ -17,7 +17,7 @@ from ptt.models.clustered_transfer import ClusteredTransfer
 from ptt.models.indirect import COARSE, COARSEST, ORDER, blurs, responses
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import harmonics
-from ptt.ops.compiling import opaque, uncompiled
+from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
 from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion
 from ptt.relight.light_step import LightStep
@@ -54,13 +54,15 @@ class RegionMaterial(NamedTuple):
 
 
 class ClusterExitant(NamedTuple):
-    """With materials: Q and I (b, c, 1 + o + s, w) and the lobes of every region; V (cells, o) on the disk grid."""
+    """With materials: of every region its points, Q and I (b, c, 1 + o + s, w), and its lobes; V (cells, o)."""
 
+    surfaces: list[SurfaceBlocks]
     sent: list[OutgoingLight]
     lobes: list[LitLobes | None]
     outgoing: Tensor
 
 
+@in_python
 class RegionPoints(nn.Module):
     """The points of one region in blocks, and which slots light them.
 
@@ -88,6 +90,7 @@ class RegionPoints(nn.Module):
             self.register_buffer(name, tensor, persistent=False)
 
 
+@in_python
 class ClusterSteps(nn.Module):
     """Light, BRDF and view step of a model with clusters."""
 
@@ -182,28 +185,26 @@ class ClusterSteps(nn.Module):
 
     def contracted(self, light: ClusterLight, materials: Sequence[RegionMaterial]) -> ClusterExitant:
         """The BRDF step, of what `materials` gives."""
-        functions = torch.cat([material.functions for material in materials])
-        h = (functions[self.rows] * self.keep.to(functions)).T  # shape: (c, q)
-        sent = [
-            self._sent(index, arriving, material, h)
-            for index, (arriving, material) in enumerate(zip(light.arriving, materials, strict=True))
-        ]
+        functions = [material.functions for material in materials]
+        slots = [points.slots for points in self.points]
+        pairs = [points.pairs for points in self.points]
+        h = slot_weights(functions, self.rows, self.keep, slots, pairs)
+        each = zip(self.model.clustered, light.arriving, materials, h, strict=True)
+        sent = [self._sent(region, arriving, material, *weights) for region, arriving, material, weights in each]
         lobes = [self._lit(material.lobes, light) for material in materials]
-        return ClusterExitant(sent, lobes, self.model.brdf.u_o.flatten(1).T.contiguous())
+        surfaces = [
+            SurfaceBlocks(points.position, points.frame, points.colour, region.cuts, region.place)
+            for points, region in zip(self.points, self.model.clustered, strict=True)
+        ]
+        return ClusterExitant(surfaces, sent, lobes, self.model.brdf.u_o.flatten(1).T.contiguous())
 
-    def _sent(self, index: int, arriving: ArrivingLight, material: RegionMaterial, h: Tensor) -> OutgoingLight:
-        """What the points of a region send out, of H (c, q) of all slots."""
-        region = self.model.clustered[index]
-        points = self.points[index]
-        last, first = points.pairs.T
-        eigen = self._operations.eigen(
-            arriving,
-            h[:, points.slots],
-            h[:, last] * h[:, first],
-            material.coupling,
-            Responses(self.to_factors, self.to_harmonics),
-            material.lobes is not None,
-        )
+    def _sent(
+        self, region: ClusteredTransfer, arriving: ArrivingLight, material: RegionMaterial, h: Tensor, pairs: Tensor
+    ) -> OutgoingLight:
+        """What the points of a region send out, of H (c, q) and its products (c, pairs)."""
+        responses = Responses(self.to_factors, self.to_harmonics)
+        glossy = material.lobes is not None
+        eigen = self._operations.eigen(arriving, h, pairs, material.coupling, responses, glossy)
         sent: OutgoingLight = self._operations.expand(eigen, region.weights, region.cluster)
         return sent
 
@@ -217,11 +218,17 @@ class ClusterSteps(nn.Module):
 
     def radiance(self, exitant: ClusterExitant, eye: Tensor) -> Tensor:
         """The view step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
-        viewed = []
-        for index, (region, own) in enumerate(zip(self.model.clustered, self._rows(), strict=True)):
-            points = self.points[index]
-            surface = SurfaceBlocks(points.position, points.frame, points.colour, region.cuts, region.place)
-            toward = eye if eye.ndim == 1 else region.in_line(eye[own])
-            viewed.append(ViewedRegion(surface, toward, exitant.sent[index], exitant.lobes[index]))
-        radiance: Tensor = self._operations.view(viewed, exitant.outgoing)
+        eyes = [eye] * len(exitant.surfaces)
+        if eye.ndim == 2:
+            eyes = [region.in_line(eye[own]) for region, own in zip(self.model.clustered, self._rows(), strict=True)]
+        regions = map(ViewedRegion, exitant.surfaces, eyes, exitant.sent, exitant.lobes)
+        radiance: Tensor = self._operations.view(list(regions), exitant.outgoing)
         return radiance
+
+
+def slot_weights(
+    functions: Sequence[Tensor], rows: Tensor, keep: Tensor, slots: Sequence[Tensor], pairs: Sequence[Tensor]
+) -> list[tuple[Tensor, Tensor]]:
+    """H (c, q) of the slots that light each region, and its products (c, pairs), of functions (1 + p + 1, c) of all."""
+    h = (torch.cat(list(functions))[rows] * keep.to(functions[0])).T  # shape: (c, q)
+    return [(h[:, own], h[:, both[:, 0]] * h[:, both[:, 1]]) for own, both in zip(slots, pairs, strict=True)]

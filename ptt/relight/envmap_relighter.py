@@ -17,7 +17,7 @@ from ptt.materials.shapes import Shape
 from ptt.models.cache import Cache, watched
 from ptt.models.light_rotation import LightRotation
 from ptt.ops import haar, slices
-from ptt.ops.compiling import opaque, uncompiled
+from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.octahedral import Octahedral, mix
 from ptt.ops.slices import ALIGNED, NormalLookup, Slices
 from ptt.relight.light_step import LightStep
@@ -60,6 +60,7 @@ class RegionExitant(NamedTuple):
     specular: Tensor
 
 
+@in_python
 class RegionPoints(nn.Module):
     """The points of one region, sorted by the normal that is nearest, so that the local light stays in the cache.
 
@@ -93,6 +94,7 @@ class RegionPoints(nn.Module):
         return NormalLookup(*(self.get_buffer(name) for name in NormalLookup._fields))
 
 
+@in_python
 class EnvMapRelighter(Relighter):
     """relighter(environment, materials, view) -> radiance (v, 3), linear RGB, in the map's units.
 
@@ -214,18 +216,20 @@ class EnvMapRelighter(Relighter):
         """Each point's slice of its view direction times the local light, between four normals."""
         out = self.cosine.new_zeros(sum(part.count for part in points), 3)
         for part, sent in zip(points, exitant, strict=True):
-            out = out.index_copy(0, part.rows[: part.count], self._radiance(part, sent, eye)[: part.count])
+            out = with_region(
+                out, part.rows[: part.count], sent.diffuse, sent.specular, self._reflected(part, sent, eye)
+            )
         return out
 
-    def _radiance(self, points: RegionPoints, sent: RegionExitant, eye: Tensor) -> Tensor:
-        """The radiance of one region (v, 3)."""
+    def _reflected(self, points: RegionPoints, sent: RegionExitant, eye: Tensor) -> Tensor | None:
+        """What the slices of one region reflect (v, 4), None for a dull one."""
         if sent.slices is None:
-            return sent.diffuse
+            return None
         toward = eye if eye.ndim == 1 else eye[points.rows].T
-        reflected = self._operations.reflected(
+        reflected: Tensor = self._operations.reflected(
             sent.light, sent.slices, sent.first, self.rotation.frames, points.lookup, toward
         )
-        return torch.addcmul(sent.diffuse, sent.specular, reflected[:, :3])
+        return reflected
 
     def slices_of(self, shape: Shape | None) -> Slices | None:
         """The slices of a shape, None for none; a subclass may return others (`Slices.with_tensorly`)."""
@@ -235,6 +239,13 @@ class EnvMapRelighter(Relighter):
         make = slices.tabulate if self.rank is None else slices.factorise
         kept = self.terms if self.rank is None else self.rank
         return make(shape.evaluate, self.rotation.m, self.views, kept, twists).to(self.cosine.device)
+
+
+def with_region(out: Tensor, rows: Tensor, diffuse: Tensor, specular: Tensor, reflected: Tensor | None) -> Tensor:
+    """Radiance (v, 3) with that of the rows of one region, whose points come first in the other tensors."""
+    if reflected is not None:
+        diffuse = torch.addcmul(diffuse, specular, reflected[:, :3])
+    return out.index_copy(0, rows, diffuse[: len(rows)])
 
 
 def _check(

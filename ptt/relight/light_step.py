@@ -10,11 +10,12 @@ from ptt.light import prefiltered
 from ptt.light.environment import Environment
 from ptt.light.prefiltered import LightMaps
 from ptt.models.cache import Cache
-from ptt.ops.compiling import opaque, uncompiled
+from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.sphere import Grid
 from ptt.relight.operations import operations
 
 
+@in_python
 class LightStep(nn.Module):
     """step(environment) -> L (3, *grid.shape), Haar coefficients of the light's means over the cells of a grid.
 

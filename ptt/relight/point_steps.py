@@ -10,11 +10,12 @@ from torch import Tensor, nn
 from ptt.light.environment import Environment
 from ptt.materials.material import Material
 from ptt.models.transfer_model import TransferModel
-from ptt.ops import haar, relight
-from ptt.ops.compiling import opaque, uncompiled
+from ptt.ops import haar, relight, transfer
+from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.sphere import toward
 
 
+@in_python
 class PointSteps(nn.Module):
     """Light, BRDF and view step of a model without clusters; they have no kernels of their own."""
 
@@ -44,11 +45,21 @@ class PointSteps(nn.Module):
 
     def contracted(self, incident: Tensor, couplings: Sequence[Tensor]) -> Tensor:
         """The BRDF step, of what `materials` gives."""
-        q = relight.brdf_step(torch.stack(list(couplings), 1), incident, self.model.receivers.spans)
-        return torch.cat((q[:, :1] * self.model.colours.T[:, None], q[:, 1:]), dim=1)
+        return exitant(incident, list(couplings), self.model.colours, self.model.receivers.spans)
 
     def radiance(self, exitant: Tensor, eye: Tensor) -> Tensor:
         """The view step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
-        local = torch.einsum("vij,vj->vi", self.model.frames, toward(eye, self.model.positions))
-        factors = self.model.brdf.outgoing(local)
-        return relight.view_step(torch.cat((torch.ones_like(factors[:1]), factors)), exitant)
+        return radiance(self.model.positions, self.model.frames, self.model.brdf.u_o, exitant, eye)
+
+
+def radiance(positions: Tensor, frames: Tensor, u_o: Tensor, exitant: Tensor, eye: Tensor) -> Tensor:
+    """B (v, c) of points (v, 3) with frames (v, 3, 3), of outgoing factors on the disk grid (o, n, n)."""
+    local = torch.einsum("vij,vj->vi", frames, toward(eye, positions))
+    factors = transfer.lookup(u_o, local.T[None])[0]
+    return relight.view_step(torch.cat((torch.ones_like(factors[:1]), factors)), exitant)
+
+
+def exitant(incident: Tensor, couplings: list[Tensor], colours: Tensor, spans: list[tuple[int, int]]) -> Tensor:
+    """Q (c, o, v) of U (c, i, v), M (c, 1 + o, 1 + i) of the regions and base colours (v, c)."""
+    q = relight.brdf_step(torch.stack(couplings, 1), incident, spans)
+    return torch.cat((q[:, :1] * colours.T[:, None], q[:, 1:]), dim=1)

@@ -13,10 +13,11 @@ from ptt.imaging.gbuffer import GBuffer
 from ptt.light.environment import Environment
 from ptt.materials.material import Material, Mixed, materials_of_regions
 from ptt.models.cache import Cache, watched
-from ptt.ops.compiling import uncompiled
+from ptt.ops.compiling import in_python, uncompiled
 from ptt.relight.viewpoint import View, eye_of
 
 
+@in_python
 class Relighter(nn.Module, ABC):
     """relighter(environment, materials, view) -> radiance (v, 3), linear RGB, in the map's units.
 

@@ -8,11 +8,13 @@ from typing import Generic, TypeVar
 import torch
 
 from ptt.materials.shapes import Shape, carries_gradient, shape_key
+from ptt.ops.compiling import in_python
 
 T = TypeVar("T")
 REMEMBERED = 8
 
 
+@in_python
 class ShapeTables(Generic[T]):
     """make(shape) of a shape with its parameters as they are now, on a device; None is a shape too."""
 

@@ -11,12 +11,13 @@ from ptt.light.environment import Environment
 from ptt.materials import material as mat
 from ptt.materials.material import Material
 from ptt.models.transfer_model import TransferModel
-from ptt.ops.compiling import uncompiled
+from ptt.ops.compiling import in_python, uncompiled
 from ptt.relight.cluster_steps import ClusterSteps
 from ptt.relight.point_steps import PointSteps
 from ptt.relight.relighter import Relighter
 
 
+@in_python
 class TransferRelighter(Relighter):
     """relighter(environment, materials, view) -> radiance (v, 3), linear RGB, in the map's units.
 

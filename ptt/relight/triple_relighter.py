@@ -17,7 +17,7 @@ from ptt.materials.material import Material, Mixed
 from ptt.materials.shapes import Shape, is_mirror_symmetric
 from ptt.models.cache import Cache, watched
 from ptt.ops import haar, local, rotation
-from ptt.ops.compiling import opaque, uncompiled
+from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.geodesic import Geodesic
 from ptt.ops.memory import in_large_pages
 from ptt.ops.near import Near
@@ -68,6 +68,7 @@ class Exitant(NamedTuple):
     coats: RegionCoats
 
 
+@in_python
 class TripleProductRelighter(Relighter):
     """relighter(environment, materials, view) -> radiance (v, 3), linear RGB, in the map's units.
 

@@ -79,16 +79,22 @@ def test_inductor_alone_is_the_eager_one(clustered_model: ptt.TransferModel) -> 
     assert not dict(counters["graph_break"])
 
 
-def test_the_steps_are_whole_graphs(clustered_model: ptt.TransferModel) -> None:
-    """The BRDF step's contraction and the view step trace with fullgraph, kernels and all."""
-    steps = ptt.TransferRelighter(clustered_model).steps
+@pytest.mark.parametrize("compiled", [True, False], ids=["kernels", "torch alone"])
+def test_the_steps_are_whole_graphs(clustered_model: ptt.TransferModel, compiled: bool) -> None:
+    """The BRDF step's contraction and the view step trace with fullgraph in a function that calls them, kernels too."""
+    steps = ptt.TransferRelighter(clustered_model, compiled).steps
     light = steps.incident(SKY)
     own = list(clustered_model.receivers.materials.values())
     tables = steps.materials(own)
-    exitant = torch.compile(steps.contracted, fullgraph=True)(light, tables)  # type: ignore[no-untyped-call]
-    radiance = torch.compile(steps.radiance, fullgraph=True)(exitant, EYES[0])  # type: ignore[no-untyped-call]
+
+    @torch.compile(fullgraph=True, backend="aot_eager")
+    def frame(light: Any, tables: Any, eye: Tensor) -> Tensor:
+        radiance: Tensor = steps.radiance(steps.contracted(light, tables), eye)
+        return radiance
+
     wanted = steps.radiance(steps.exitant(light, own), EYES[0])
-    assert torch.allclose(radiance, wanted, rtol=1e-5, atol=5e-4 * float(wanted.abs().max()))
+    assert torch.allclose(frame(light, tables, EYES[0]), wanted, rtol=1e-5, atol=5e-4 * float(wanted.abs().max()))
+    assert counters["stats"]["unique_graphs"] == 1 and not dict(counters["graph_break"])
 
 
 def test_caches_work_as_before(clustered_model: ptt.TransferModel) -> None:

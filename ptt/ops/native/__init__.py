@@ -19,7 +19,7 @@ from ptt.ops.native.rotation import (
 )
 from ptt.ops.native.shading import shade
 from ptt.ops.native.triple import adaptive
-from ptt.ops.native.view import view
+from ptt.ops.native.viewing import view
 
 __all__ = [
     "adaptive",

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from ptt.ops import near as plain
+from ptt.ops.compiling import inlined
 from ptt.ops.constants import CORNERS, GROUP
 from ptt.ops.native.arguments import of_type, side
 from ptt.ops.native.kernels import run
@@ -22,6 +23,7 @@ def _empty(points: Tensor, rows: int = CORNERS) -> tuple[Tensor, Tensor]:
     return points.new_empty(shape, dtype=torch.int32), points.new_empty(shape, dtype=torch.float32)
 
 
+@inlined
 def of_frames(frames: Tensor, sampled: Tensor, twists: int, between: bool = False) -> Near:
     """As `ptt.ops.near.of_frames`."""
     return Near(*_near_frames(frames, sampled, twists, between))
@@ -60,6 +62,7 @@ _near_frames = operator(
 )
 
 
+@inlined
 def of_views(frames: Tensor, positions: Tensor, eye: Tensor, views: int) -> Near:
     """As `ptt.ops.near.of_views`."""
     return Near(*_near_views(frames, positions, eye, views))
@@ -97,6 +100,7 @@ _near_views = operator(
 )
 
 
+@inlined
 def of_texels(corner_uv: Tensor, triangle: Tensor, barycentric: Tensor, rows: Tensor) -> Near:
     """As `ptt.ops.near.of_texels`."""
     return Near(*_near_texels(corner_uv, triangle, barycentric, rows))

@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from ptt.ops import relight
+from ptt.ops.compiling import inlined
 from ptt.ops.constants import CHANNELS, GROUP, HARMONICS, WIDTH
 from ptt.ops.native.arguments import STORED, contiguous, of_type, side, square
 from ptt.ops.native.kernels import run
@@ -25,6 +26,7 @@ TRANSFER = (torch.float32, torch.float16, torch.bfloat16)
 # The map, turned, in Haar coefficients
 
 
+@inlined
 def lighting(fine: Tensor, turn: Tensor, directions: Tensor, shares: Tensor, shape: Sequence[int]) -> Tensor:
     """L (3, *shape), as `ptt.ops.relight.lighting`."""
     result: Tensor = _lighting(fine, turn, directions, shares, list(shape))
@@ -70,6 +72,7 @@ _lighting = operator(
 # Transfer of eigen-points times light
 
 
+@inlined
 def light_eigen(transfer: Tensor, lighting: Tensor, columns: Tensor | None = None) -> Tensor:
     """U (k, c, x), as `ptt.ops.relight.light_eigen`; the kernel sums in float32."""
     result: Tensor = _light_eigen(transfer, lighting, columns)
@@ -122,6 +125,7 @@ _light_eigen = operator(
 # What eigen-points send out
 
 
+@inlined
 def eigen(
     arriving: ArrivingLight, h: Tensor, pairs: Tensor, coupling: Tensor, responses: Responses, glossy: bool
 ) -> Tensor:
@@ -240,6 +244,7 @@ _eigen = operator(
 # From eigen-points to points
 
 
+@inlined
 def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> OutgoingLight:
     """Values as `ptt.ops.relight.expand`; those of the kernel are float16, scaled to its range, in smaller blocks."""
     return OutgoingLight(*_expand(eigen, weights, cluster))

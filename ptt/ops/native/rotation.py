@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from ptt.ops import haar, rotation, slices
+from ptt.ops.compiling import inlined
 from ptt.ops.constants import CHANNELS, CORNERS, GROUP
 from ptt.ops.native.arguments import STORED, contiguous, of_type
 from ptt.ops.native.kernels import run
@@ -39,6 +40,7 @@ def _four(maps: Tensor) -> Tensor:
 # The three operators: S between two transforms, S looked up anew, R
 
 
+@inlined
 def local_light(coefficients: Tensor, s: Resampling, m: int) -> Tensor:
     """(f, M, c), as `ptt.ops.rotation.local_light`."""
     result: Tensor = _local_light(coefficients, s.starts, s.reads, s.samples, m)
@@ -79,6 +81,7 @@ _local_light = operator(
 )
 
 
+@inlined
 def resampled_light(
     coefficients: Tensor, frames: Tensor, target: HemiOctahedral, samples: int = rotation.SAMPLES
 ) -> Tensor:
@@ -128,6 +131,7 @@ _resampled_light = operator(
 )
 
 
+@inlined
 def rotated_light(coefficients: Tensor, matrix: Quantised, m: int) -> Tensor:
     """(f, M, c), as `ptt.ops.rotation.rotated_light` of the matrix's `to_csr`."""
     result: Tensor = _rotated_light(coefficients, *matrix, m)
@@ -181,6 +185,7 @@ _rotated_light = operator(
 # S without a transform, as a table
 
 
+@inlined
 def resampled_values(values: Tensor, s: Resampling, cells: int, storage: torch.dtype = torch.float16) -> Table:
     """(f, c, cells), as `ptt.ops.rotation.resampled_values`."""
     return Table(*_resampled_values(values, s.starts, s.reads, s.samples, cells, storage))
@@ -242,6 +247,7 @@ _resampled_values = operator(
 # R, formed: first how many numbers each row keeps, then those numbers
 
 
+@inlined
 def quantised(s: Resampling, n: int, m: int, unit: float, threshold: int) -> Quantised:
     """R in 16 bits, as `ptt.ops.rotation.quantised`, on all cores."""
     given = (s.starts, s.reads, s.samples, n, m, unit, threshold)
@@ -358,6 +364,7 @@ _quantised_rows = operator(
 # What slices reflect
 
 
+@inlined
 def reflected(light: Tensor, cut: Slices, first: Tensor, frames: Tensor, at: NormalLookup, eye: Tensor) -> Tensor:
     """B (v, c), as `ptt.ops.slices.reflected`; light is read in place where it has four channels."""
     points = (at.position, at.normal, at.near, at.weights, at.twist)

@@ -5,10 +5,13 @@ In the kernel, tables in 16 or 8 bits are multiplied in float16, where the proce
 
 from __future__ import annotations
 
+import re
+
 import torch
 from torch import Tensor
 
 from ptt.ops import shade as plain
+from ptt.ops.compiling import inlined
 from ptt.ops.native.arguments import STORED, of_type
 from ptt.ops.native.kernels import run
 from ptt.ops.native.operators import Conditions, operator
@@ -28,6 +31,10 @@ SCHEMA = (
 )
 
 
+NAMES = tuple(re.findall(r"Tensor (\w+)", SCHEMA))
+
+
+@inlined
 def shade(functions: Functions, coats: RegionCoats, at: ShadedPoints) -> Tensor:
     """B (p, c), as `ptt.ops.shade.shade`."""
     light, visibility, dull, glossy = functions
@@ -91,8 +98,7 @@ def _conditions(*arguments: Tensor) -> Conditions:
 
 
 def _kernel(*arguments: Tensor) -> Tensor:
-    names = [argument.name for argument in torch.ops.ptt.shade.default._schema.arguments]
-    tensors = {name: tensor.contiguous() for name, tensor in zip(names, arguments, strict=True)}
+    tensors = {name: tensor.contiguous() for name, tensor in zip(NAMES, arguments, strict=True)}
     dtype = tensors["light"].dtype
     n = len(tensors["dull"])
     if dtype != torch.float32:

@@ -6,12 +6,14 @@ import torch
 from torch import Tensor
 
 from ptt.ops import triple as plain
+from ptt.ops.compiling import inlined
 from ptt.ops.haar import Truncated
 from ptt.ops.native.arguments import of_type
 from ptt.ops.native.kernels import run
 from ptt.ops.native.operators import Conditions, operator
 
 
+@inlined
 def adaptive(f: Truncated, g: Truncated, h: Truncated, n: int) -> Tensor:
     """The integrals (p,), as `ptt.ops.triple.adaptive`, of functions (p, k): down the tree where coefficients are."""
     result: Tensor = _adaptive(*f, *g, *h, n)

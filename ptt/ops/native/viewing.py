@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from ptt.ops import view as plain
+from ptt.ops.compiling import inlined
 from ptt.ops.constants import CHANNELS, GROUP, HARMONICS, MOST_LOBES, TILE
 from ptt.ops.native.arguments import contiguous, of_type, side, square
 from ptt.ops.native.kernels import run
@@ -20,13 +21,19 @@ SCHEMA = (
     "Tensor[] values, Tensor[] unit, Tensor?[] which, Tensor?[] rho, Tensor?[] axes, Tensor?[] specular, "
     "Tensor?[] maps, Tensor?[] turn, Tensor?[] blurs, Tensor outgoing) -> Tensor"
 )
-NO_GLOSS = (None,) * len(LitLobes._fields)
+COLUMNS = (*SurfaceBlocks._fields, "eye", *OutgoingLight._fields, *LitLobes._fields)
+NO_LOBES = (None,) * len(LitLobes._fields)
 
 
+@inlined
 def view(regions: Sequence[ViewedRegion], outgoing: Tensor) -> Tensor:
     """B (v, c), as `ptt.ops.view.view`; where a point is at the eye, its lobes are finite."""
-    rows = [(*r.points, r.eye, *r.sent, *(NO_GLOSS if r.lobes is None else r.lobes)) for r in regions]
-    result: Tensor = _view(*map(list, zip(*rows, strict=True)), outgoing)
+    columns: tuple[list[Tensor | None], ...] = tuple([] for _ in range(len(COLUMNS)))
+    for region in regions:
+        lobes = NO_LOBES if region.lobes is None else region.lobes
+        for column, tensor in zip(columns, (*region.points, region.eye, *region.sent, *lobes), strict=True):
+            column.append(tensor)
+    result: Tensor = _view(*columns, outgoing)
     return result
 
 
