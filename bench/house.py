@@ -209,18 +209,21 @@ def operators(table: Table) -> None:
     def operator() -> Any:
         return native.of_views(frames, positions, eye, 6)
 
+    def dispatched() -> Any:
+        return torch.ops.ptt.near_views(frames, positions, eye, 6)
+
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     below = 1e6 * per_call(bare)
     graded = 1e6 * per_call(operator)
-    with torch.inference_mode():
-        without = 1e6 * per_call(operator)
+    through = 1e6 * per_call(dispatched)
     torch.set_num_threads(threads)
     how = f"near_views of 16 points; medians of 2000 calls; {setting()}"
     table.row("a kernel by ctypes alone", below, "us", how)
-    table.row("the same as an operator", graded, "us", how, peer="10.6 as 0.1.0 called it, 23 by custom_op")
-    table.row("the same in inference mode", without, "us", how)
-    table.row("overhead of an operator", graded - below, "us", f"over ctypes alone; {how}")
+    peer = "9 as 0.1.0 called it, on the same machine; 23 by custom_op, in a trial"
+    table.row("the same by ptt.ops.native", graded, "us", f"arguments checked; {how}", peer=peer)
+    table.row("the same by torch.ops.ptt", through, "us", f"through torch's dispatcher; {how}", peer=peer)
+    table.row("overhead of an operator", graded - below, "us", f"ptt.ops.native over ctypes alone; {how}")
 
 
 def per_call(function: Callable[[], object], calls: int = 2000) -> float:
