@@ -23,6 +23,7 @@ FORMS = {
 }
 """By kernels or by torch, and whether torch.compile fuses what there is."""
 
+BLOCKS = 3
 NUMBERS = count(1)  # no two changes are alike
 
 
@@ -34,30 +35,38 @@ def four_forms(
     material: Callable[[int], dict[str, ptt.Material]],
     view: Callable[[int], View],
     how: str,
-    repeats: int = 15,
+    repeats: int = 8,
 ) -> None:
     """Rows of the time of a frame after a change of the view, of a material, or of the light, in each form.
 
-    The forms take turns, so that the machine's mood is theirs alike.
+    The forms take turns in blocks, so that the machine's mood is theirs alike, and that no frame waits for the threads
+    of another form, which spin for a while.
 
     make: a relighter, by kernels or by torch alone; material, view: the k-th that the user chooses
     """
     relighters = {form: made(make(kernels), fused) for form, (kernels, fused) in FORMS.items()}
     for step, change in changes(light, material, view).items():
         seconds: dict[str, list[float]] = {form: [] for form in FORMS}
-        for repeat in range(-2, repeats):
+        for _ in range(BLOCKS):
             for form, relighter in relighters.items():
-                inputs = change(next(NUMBERS))
-                start = time.perf_counter()
-                relighter(*inputs)
-                if repeat >= 0:  # the first two compile, and fill the caches
-                    seconds[form].append(time.perf_counter() - start)
+                seconds[form] += block(relighter, change, repeats)
         median = {form: statistics.median(taken) for form, taken in seconds.items()}
         for form, taken in median.items():
             table.row(f"{name}, {step} changes, {form}", 1e3 * taken, "ms", f"{how}; {setting()}")
         ratio = median["torch.compile with kernels"] / median["kernels"]
-        aside = f"median of {repeats} frames each, by turns; {setting()}"
+        aside = f"medians of {BLOCKS * repeats} frames each, in blocks by turns; {setting()}"
         table.row(f"{name}, {step} changes, torch.compile with kernels over kernels", ratio, "", aside, "<= 1.03")
+
+
+def block(relighter: Any, change: Callable[[int], tuple[Any, ...]], repeats: int) -> list[float]:
+    """The seconds of frames one after the other, after two that compile, fill the caches and calm the threads."""
+    seconds = []
+    for _ in range(2 + repeats):
+        inputs = change(next(NUMBERS))
+        start = time.perf_counter()
+        relighter(*inputs)
+        seconds.append(time.perf_counter() - start)
+    return seconds[2:]
 
 
 def made(relighter: Relighter, fused: bool) -> Any:

@@ -213,7 +213,7 @@ def forms(table: Table, scene: ptt.Scene, light: ptt.Environment, n: int) -> Non
         off = ptt.relative_rmse(step(*args, eye), exact)
         table.row(f"view step, {name}", 1e3 * took, "ms", f"off the kernel by {off:.1e}; {how}")
     material = ptt.fitted("gold-metallic-paint")
-    name = scene.regions[0].name
+    region = scene.regions[0].name
 
     def relighter_of(compiled: bool) -> ptt.EnvMapRelighter:
         rotation = ptt.LightRotation.build(n, 32, compiled=compiled)
@@ -221,15 +221,12 @@ def forms(table: Table, scene: ptt.Scene, light: ptt.Environment, n: int) -> Non
 
     four_forms(
         table,
-        "forms, dragon",
-        lambda compiled: ptt.EnvMapRelighter(
-            scene, ptt.LightRotation.build(n, 32, compiled=compiled), compiled=compiled
-        ),
+        "forms",
+        relighter_of,
         light,
-        lambda k: {name: ptt.Material(material.diffuse, material.specular * (1 - 1e-4 * (k % 1000)), material.shape)},
+        lambda k: {region: ptt.Material(material.diffuse, material.specular * (1 - 1e-4 * (k % 1000)), material.shape)},
         lambda k: scene.camera.orbited(0.37 * k),
         how,
-        5,
     )
 
 

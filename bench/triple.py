@@ -162,7 +162,7 @@ def forms(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, qui
         edit,
         lambda k: replace(pixels, camera=camera.orbited(0.01 * k)),
         f"{len(scene.vertices)} vertices, {len(pixels.pixel)} pixels of {camera.width} x {camera.height}",
-        5,
+        4,
     )
 
 
