@@ -1,7 +1,7 @@
 """BRDF spaces: every figure of them, as rows of bench/results/brdf.csv.
 
     PTT_DATA=... python -m bench.brdf             # 8 minutes on two cores
-    PTT_DATA=... python -m bench.brdf --quick     # three minutes: fewer samples, ranks and pixels
+    PTT_DATA=... python -m bench.brdf --quick     # three minutes: fewer samples, ranks and pixels; written nowhere
 
 Needs PTT_DATA with hdri/uffizi.hdr. Pictures go to docs/images.
 """
@@ -39,7 +39,7 @@ DISK = "812 texels of a 32 x 32 disk, samples at their centres"
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="three minutes: fewer samples, ranks and pixels")
+    parser.add_argument("--quick", action="store_true", help="three minutes: fewer samples; written nowhere")
     quick = parser.parse_args().quick
     if "PTT_DATA" not in os.environ:
         parser.error("set PTT_DATA to the folder with hdri/uffizi.hdr")
@@ -61,7 +61,8 @@ def main() -> None:
     between_samples(table, spaces)
     against_tensorly(table, shapes["Cook-Torrance"], quick)
     editing(table)
-    table.write()
+    if not quick:
+        table.write()
 
 
 def energy(table: Table, quick: bool) -> None:

@@ -1,7 +1,7 @@
 """Direct light: every figure of it, as rows of bench/results/direct.csv.
 
     PTT_DATA=... python -m bench.direct             # about 10 minutes on two cores
-    PTT_DATA=... python -m bench.direct --quick     # under a minute: fewer vertices, rays and samples
+    PTT_DATA=... python -m bench.direct --quick     # under a minute: fewer vertices, rays and samples; written nowhere
 
 Needs the extra `bench` (Mitsuba), and PTT_DATA with meshes/bunny.ply and hdri/uffizi.hdr. Pictures go to docs/images.
 """
@@ -38,7 +38,7 @@ FAR = torch.tensor([0.0, 50.0, 0.0])
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="under a minute: fewer vertices, rays and samples")
+    parser.add_argument("--quick", action="store_true", help="under a minute: fewer vertices; written nowhere")
     quick = parser.parse_args().quick
     if "PTT_DATA" not in os.environ:
         parser.error("set PTT_DATA to the folder with meshes/bunny.ply and hdri/uffizi.hdr")
@@ -51,7 +51,7 @@ def main() -> None:
     speed(table, data, stride=64 if quick else 1)
     if not quick:
         whole_flow(table)
-    table.write()
+        table.write()
 
 
 def furnace(table: Table) -> None:

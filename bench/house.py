@@ -50,11 +50,6 @@ def rooms() -> frozenset[str]:
     return frozenset(room_of(path) for path in sources())
 
 
-def packages() -> list[str]:
-    """The packages of ptt."""
-    return sorted(path.parent.name for path in (ROOT / "ptt").glob("*/__init__.py"))
-
-
 @cache
 def sources() -> tuple[Path, ...]:
     """The Python files of the package and of the programs, tests aside; empty ones hold nothing."""

@@ -26,7 +26,6 @@ from ptt.ops.tucker import Tucker, multiply
 
 WIDTH = 128  # points in a block
 FACING = 16  # cells along an edge of the map of normals by which points are ordered
-LOBES = 4  # bytes in a cell of the cuts
 SPAN = 1e-6  # of the largest singular value: a smaller one adds no direction to a joint factor of the points
 STORAGE = {"float32": torch.float32, "float16": torch.float16, "bfloat16": torch.bfloat16}
 
@@ -78,17 +77,17 @@ class ClusteredTransfer(nn.Module):
 
     @property
     def points(self) -> int:
-        """Of the region."""
+        """The number of the region's points."""
         return len(self.place)
 
     @property
     def eigenvectors(self) -> int:
-        """Of each cluster."""
+        """The number of each cluster's eigenvectors."""
         return self.weights.shape[1]
 
     @property
     def clusters(self) -> int:
-        """Of the region."""
+        """The number of the region's clusters."""
         return len(self.direct)
 
     def rows(self, cluster: int) -> Tensor:

@@ -91,7 +91,7 @@ class TensorBRDF(nn.Module):
 
     @property
     def angles(self) -> tuple[float, ...]:
-        """Of the lobes, in degrees."""
+        """The angles that the lobes cover, in degrees."""
         return lobes.ANGLES[: self.peaks.shape[1]]
 
     @property

@@ -33,7 +33,7 @@ class Near(NamedTuple):
 
 
 def of_frames(frames: Tensor, sampled: Tensor, twists: int, between: bool = False) -> Near:
-    """Of frames (p, 3, 3) among sampled ones (n * n, 3, 3), each with so many turns of its tangent.
+    """The lookup of frames (p, 3, 3) among sampled ones (n * n, 3, 3), each with so many turns of its tangent.
 
     sampled: of the normals `Octahedral(n).directions()`; row = twists * normal + turn
     between: of each the two turns on either side (p, 8), for brushed materials; else the nearest (p, 4)
@@ -51,7 +51,7 @@ def of_frames(frames: Tensor, sampled: Tensor, twists: int, between: bool = Fals
 
 
 def of_views(frames: Tensor, positions: Tensor, eye: Tensor, views: int) -> Near:
-    """Of directions from positions (p, 3) to an eye (3,), in frames (p, 3, 3), on `HemiOctahedral(views)`.
+    """The lookup of directions from positions (p, 3) to an eye (3,), in frames (p, 3, 3), on `HemiOctahedral(views)`.
 
     eye (p, 3): the directions themselves, in place of an eye, of any length; one that is zero stands for up
     Those below the horizon have what their mirror images above have.
@@ -63,7 +63,7 @@ def of_views(frames: Tensor, positions: Tensor, eye: Tensor, views: int) -> Near
 
 
 def of_texels(corner_uv: Tensor, triangle: Tensor, barycentric: Tensor, rows: Tensor) -> Near:
-    """Of points in triangles (p,), at barycentric (p, 3), in a square of texels, whose rows (size * size,) are given.
+    """The lookup of points in triangles (p,), at barycentric (p, 3), among texels, whose rows (size * size,) are given.
 
     corner_uv (f, 3, 2): of the triangles' corners, in 0..1
     """

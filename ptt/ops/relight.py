@@ -85,7 +85,7 @@ class ArrivingLight(NamedTuple):
 
 
 class Responses(NamedTuple):
-    """Of arriving harmonics: C (s, 1 + i) to incident factors, and (s, s) to orthonormal harmonics."""
+    """What arriving harmonics become: C (s, 1 + i) to incident factors, and (s, s) to orthonormal harmonics."""
 
     to_factors: Tensor
     to_harmonics: Tensor

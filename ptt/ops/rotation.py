@@ -240,7 +240,7 @@ def quantised(s: Resampling, n: int, m: int, unit: float, threshold: int) -> Qua
 
 
 def column_type(n: int) -> torch.dtype:
-    """Of the columns of R of a source of n * n cells."""
+    """The type of the columns of R, of a source of n * n cells."""
     return torch.int16 if n * n <= 1 << 15 else torch.int32
 
 

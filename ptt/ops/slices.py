@@ -30,7 +30,7 @@ _VALUES = 1 << 22  # a block, of BRDF values or of products
 
 
 class Slices(NamedTuple):
-    """Of one shape: s = twists * views^2 slices of t terms.
+    """The slices of one shape: s = twists * views^2 slices of t terms.
 
     terms (s, t) int16: which coefficients, or rows of `basis`
     values (s, t) float16: theirs; none exceeds the albedo

@@ -30,7 +30,7 @@ BYTE = 255.0
 
 
 class SurfaceBlocks(NamedTuple):
-    """Of a region, in blocks.
+    """The points of a region, in blocks.
 
     position (3, n); frame (3, 3, n): rows tangent, bitangent, normal; colour (3, n) of the surface, None for white
     cuts (n, cells) int32: cut_k, a byte each, cells in `tiles`

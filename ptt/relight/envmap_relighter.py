@@ -80,7 +80,7 @@ class RegionPoints(nn.Module):
 
     @classmethod
     def of(cls, rows: Tensor, surface: SurfacePoints, sampled: Tensor) -> RegionPoints:
-        """Those rows of a surface among sampled frames (f, 3, 3)."""
+        """The points in those rows of a surface, among sampled frames (f, 3, 3)."""
         nearest = Octahedral(math.isqrt(len(sampled))).cell(surface.frames[rows, 2])
         count = len(rows)
         rows = rows[nearest.argsort(stable=True)]

@@ -17,10 +17,11 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from ptt.models.clustered_transfer import LOBES, STORAGE, WIDTH, ClusteredTransfer, in_blocks
+from ptt.models.clustered_transfer import STORAGE, WIDTH, ClusteredTransfer, in_blocks
 from ptt.models.indirect import ORDER
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import cpca
+from ptt.ops.constants import MOST_LOBES
 from ptt.ops.octahedral import tiles
 from ptt.ops.sphere import Cube
 from ptt.transfer.assembly import ALWAYS, Transfer, natural
@@ -177,7 +178,7 @@ class _RegionTransfer:
         if not self.glossy:
             return torch.zeros(blocks * WIDTH, 0, dtype=torch.int32)
         cuts = self.transfer.cuts[self.first : self.end]
-        bytes_ = torch.zeros(blocks * WIDTH, cuts.shape[1], LOBES, dtype=torch.uint8)
+        bytes_ = torch.zeros(blocks * WIDTH, cuts.shape[1], MOST_LOBES, dtype=torch.uint8)
         bytes_[place[:, None], tiles(math.isqrt(cuts.shape[1])), : cuts.shape[2]] = cuts
         return bytes_.view(torch.int32).squeeze(2)
 

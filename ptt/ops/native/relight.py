@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -134,102 +135,79 @@ def eigen(
     return result
 
 
-def _eigen_plain(
-    direct: Tensor,
-    one: Tensor,
-    two: Tensor,
-    h: Tensor,
-    pairs: Tensor,
-    coupling: Tensor,
-    to_factors: Tensor,
-    to_harmonics: Tensor,
-    glossy: bool,
-) -> Tensor:
+class _Eigen(NamedTuple):
+    """What the schema says."""
+
+    direct: Tensor
+    one: Tensor
+    two: Tensor
+    h: Tensor
+    pairs: Tensor
+    coupling: Tensor
+    to_factors: Tensor
+    to_harmonics: Tensor
+    glossy: bool
+
+
+def _eigen_plain(*arguments: Any) -> Tensor:
+    direct, one, two, h, pairs, coupling, to_factors, to_harmonics, glossy = arguments
     arriving = ArrivingLight(direct, one, two)
     responses = Responses(to_factors, to_harmonics)
     return relight.eigen(arriving, h, pairs, coupling, responses, glossy).contiguous()
 
 
-def _eigen_conditions(
-    direct: Tensor,
-    one: Tensor,
-    two: Tensor,
-    h: Tensor,
-    pairs: Tensor,
-    coupling: Tensor,
-    to_factors: Tensor,
-    to_harmonics: Tensor,
-    glossy: bool,
-) -> Conditions:
-    k, c, e, i = direct.shape
-    q = one.shape[2]
-    p = two.shape[2]
-    everything = (direct, one, two, h, pairs, coupling, to_factors, to_harmonics)
-    yield of_type(torch.float32, *everything), "everything must be float32"
+def _eigen_conditions(*arguments: Any) -> Conditions:
+    g = _Eigen(*arguments)
+    k, c, e, i = g.direct.shape
+    q = g.one.shape[2]
+    p = g.two.shape[2]
+    yield of_type(torch.float32, *g[:-1]), "everything must be float32"
     yield c == 3, "there must be three channels"
-    yield h.shape == (3, q), "h must be (3, q)"
-    yield pairs.shape == (3, p), "pairs must be (3, p)"
-    yield one.shape == (k, 3, q, e, HARMONICS), f"U1 must be (k, 3, q, e, {HARMONICS})"
-    yield two.shape == (k, 3, p, e), "U2 must be (k, 3, p, e)"
-    yield coupling.ndim == 3 and coupling.shape[::2] == (3, i), "coupling must be (3, 1 + o, 1 + i)"
-    yield to_factors.shape == (HARMONICS, i), f"to_factors must be ({HARMONICS}, 1 + i)"
-    yield to_harmonics.shape == (HARMONICS, HARMONICS), f"to_harmonics must be ({HARMONICS}, {HARMONICS})"
+    yield g.h.shape == (3, q), "h must be (3, q)"
+    yield g.pairs.shape == (3, p), "pairs must be (3, p)"
+    yield g.one.shape == (k, 3, q, e, HARMONICS), f"U1 must be (k, 3, q, e, {HARMONICS})"
+    yield g.two.shape == (k, 3, p, e), "U2 must be (k, 3, p, e)"
+    yield g.coupling.ndim == 3 and g.coupling.shape[::2] == (3, i), "coupling must be (3, 1 + o, 1 + i)"
+    yield g.to_factors.shape == (HARMONICS, i), f"to_factors must be ({HARMONICS}, 1 + i)"
+    yield g.to_harmonics.shape == (HARMONICS, HARMONICS), f"to_harmonics must be ({HARMONICS}, {HARMONICS})"
 
 
-def _eigen_kernel(
-    direct: Tensor,
-    one: Tensor,
-    two: Tensor,
-    h: Tensor,
-    pairs: Tensor,
-    coupling: Tensor,
-    to_factors: Tensor,
-    to_harmonics: Tensor,
-    glossy: bool,
-) -> Tensor:
-    out = _eigen_fake(direct, one, two, h, pairs, coupling, to_factors, to_harmonics, glossy)
-    k, _, e, i = direct.shape
+def _eigen_kernel(*arguments: Any) -> Tensor:
+    g = _Eigen(*arguments)
+    out = _eigen_fake(*arguments)
+    k, _, e, i = g.direct.shape
     width = out.shape[3]
     padded = width + -width % GROUP
-    transposed = coupling.transpose(1, 2)  # shape: (3, 1 + i, 1 + o)
-    from_light = [to_factors @ transposed]  # shape: (3, s, 1 + o)
-    if width > coupling.shape[1]:
-        from_light.append(to_harmonics.expand(3, -1, -1))
+    coupling = g.coupling.transpose(1, 2)  # shape: (3, 1 + i, 1 + o)
+    from_light = [g.to_factors @ coupling]  # shape: (3, s, 1 + o)
+    if width > coupling.shape[2]:
+        from_light.append(g.to_harmonics.expand(3, -1, -1))
     run(
         "eigen",
-        direct=direct.contiguous(),
-        one=one.contiguous(),
-        two=two.contiguous(),
-        h=h.contiguous(),
-        pairs=pairs.contiguous(),
-        from_direct=pad(transposed, (0, padded - coupling.shape[1])).contiguous(),
+        direct=g.direct.contiguous(),
+        one=g.one.contiguous(),
+        two=g.two.contiguous(),
+        h=g.h.contiguous(),
+        pairs=g.pairs.contiguous(),
+        from_direct=pad(coupling, (0, padded - coupling.shape[2])).contiguous(),
         from_light=pad(torch.cat(from_light, 2), (0, padded - width)),
         out=out,
         clusters=k,
         eigen=e,
         factors=i,
-        slots=one.shape[2],
-        again=two.shape[2],
+        slots=g.one.shape[2],
+        again=g.two.shape[2],
         width=width,
         padded=padded,
     )
     return out
 
 
-def _eigen_fake(
-    direct: Tensor,
-    one: Tensor,
-    two: Tensor,
-    h: Tensor,
-    pairs: Tensor,
-    coupling: Tensor,
-    to_factors: Tensor,
-    to_harmonics: Tensor,
-    glossy: bool,
-) -> Tensor:
-    k, c, e, _ = direct.shape
-    lit = glossy and (one.shape[2] > 0 or two.shape[2] > 0)
-    return direct.new_empty(k, c, e, coupling.shape[1] + len(to_harmonics) * lit)
+def _eigen_fake(*arguments: Any) -> Tensor:
+    g = _Eigen(*arguments)
+    k, c, e, _ = g.direct.shape
+    lit = g.glossy and (g.one.shape[2] > 0 or g.two.shape[2] > 0)
+    return g.direct.new_empty(k, c, e, g.coupling.shape[1] + len(g.to_harmonics) * lit)
 
 
 _eigen = operator(

@@ -7,6 +7,7 @@ channels.
 from __future__ import annotations
 
 from functools import cache
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -372,90 +373,71 @@ def reflected(light: Tensor, cut: Slices, first: Tensor, frames: Tensor, at: Nor
     return result
 
 
-def _reflected_plain(
-    light: Tensor,
-    terms: Tensor,
-    values: Tensor,
-    views: int,
-    first: Tensor,
-    frames: Tensor,
-    position: Tensor,
-    normal: Tensor,
-    near: Tensor,
-    weights: Tensor,
-    twist: Tensor,
-    eye: Tensor,
-) -> Tensor:
-    at = NormalLookup(position, normal, near, weights, twist)
-    return slices.reflected(light, Slices(terms, values, views), first, frames, at, eye).contiguous()
+class _Reflected(NamedTuple):
+    """What the schema says."""
+
+    light: Tensor
+    terms: Tensor
+    values: Tensor
+    views: int
+    first: Tensor
+    frames: Tensor
+    position: Tensor
+    normal: Tensor
+    near: Tensor
+    weights: Tensor
+    twist: Tensor
+    eye: Tensor
 
 
-def _reflected_conditions(
-    light: Tensor,
-    terms: Tensor,
-    values: Tensor,
-    views: int,
-    first: Tensor,
-    frames: Tensor,
-    position: Tensor,
-    normal: Tensor,
-    near: Tensor,
-    weights: Tensor,
-    twist: Tensor,
-    eye: Tensor,
-) -> Conditions:
-    v = position.shape[1]
-    yield of_type(torch.float32, light, eye, frames, position, normal, weights), "light and points must be float32"
-    yield of_type(torch.int32, near, first), "near and first must be int32"
-    yield of_type(torch.int16, terms), "terms must be int16"
-    yield of_type(torch.float16, values), "values must be float16"
-    kept = (position, normal, near, weights, terms, values, first)
+def _reflected_plain(*arguments: Any) -> Tensor:
+    g = _Reflected(*arguments)
+    at = NormalLookup(g.position, g.normal, g.near, g.weights, g.twist)
+    return slices.reflected(g.light, Slices(g.terms, g.values, g.views), g.first, g.frames, at, g.eye).contiguous()
+
+
+def _reflected_conditions(*arguments: Any) -> Conditions:
+    g = _Reflected(*arguments)
+    v = g.position.shape[1]
+    reals = (g.light, g.eye, g.frames, g.position, g.normal, g.weights)
+    yield of_type(torch.float32, *reals), "light and points must be float32"
+    yield of_type(torch.int32, g.near, g.first), "near and first must be int32"
+    yield of_type(torch.int16, g.terms), "terms must be int16"
+    yield of_type(torch.float16, g.values), "values must be float16"
+    kept = (g.position, g.normal, g.near, g.weights, g.terms, g.values, g.first)
     yield contiguous(*kept), "points and slices must be contiguous"
-    yield light.ndim == 3 and light.shape[2] <= CHANNELS, f"light must be (f, x, c), c at most {CHANNELS}"
+    yield g.light.ndim == 3 and g.light.shape[2] <= CHANNELS, f"light must be (f, x, c), c at most {CHANNELS}"
     yield v % GROUP == 0, f"points must come in multiples of {GROUP}"
-    yield terms.shape[1] % GROUP == 0, f"terms must come in multiples of {GROUP}"
-    yield eye.shape in ((3,), (3, v)), "eye must be (3,) or (3, v)"
-    yield first.shape == (CORNERS, v), "first must be (4, v)"
-    yield frames.shape == (len(light), 3, 3), "frames must be (f, 3, 3)"
+    yield g.terms.shape[1] % GROUP == 0, f"terms must come in multiples of {GROUP}"
+    yield g.eye.shape in ((3,), (3, v)), "eye must be (3,) or (3, v)"
+    yield g.first.shape == (CORNERS, v), "first must be (4, v)"
+    yield g.frames.shape == (len(g.light), 3, 3), "frames must be (f, 3, 3)"
 
 
-def _reflected_kernel(
-    light: Tensor,
-    terms: Tensor,
-    values: Tensor,
-    views: int,
-    first: Tensor,
-    frames: Tensor,
-    position: Tensor,
-    normal: Tensor,
-    near: Tensor,
-    weights: Tensor,
-    twist: Tensor,
-    eye: Tensor,
-) -> Tensor:
-    v = position.shape[1]
-    channels = light.shape[2]
-    if channels < CHANNELS:
-        light = pad(light, (0, CHANNELS - channels))
+def _reflected_kernel(*arguments: Any) -> Tensor:
+    g = _Reflected(*arguments)
+    v = g.position.shape[1]
+    channels = g.light.shape[2]
+    light = g.light if channels == CHANNELS else pad(g.light, (0, CHANNELS - channels))
     out = light.new_empty(v, CHANNELS)
     run(
         "reflected",
-        position=position,
-        normal=normal,
-        frames=frames.contiguous(),
-        eye=eye.contiguous(),
-        weights=weights,
+        position=g.position,
+        normal=g.normal,
+        frames=g.frames.contiguous(),
+        eye=g.eye.contiguous(),
+        weights=g.weights,
         light=light.contiguous(),
-        near=near,
-        first=first,
-        terms=terms,
-        values=values,
+        near=g.near,
+        first=g.first,
+        terms=g.terms,
+        values=g.values,
         out=out,
         points=v,
         width=light.shape[1],
-        kept=terms.shape[1],
-        distant=eye.ndim == 2,
-        views=views,
+        kept=g.terms.shape[1],
+        distant=g.eye.ndim == 2,
+        views=g.views,
     )
     return out if channels == CHANNELS else out[:, :channels].contiguous()
 
