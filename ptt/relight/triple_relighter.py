@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -185,6 +185,12 @@ class TripleProductRelighter(Relighter):
         return table
 
     @uncompiled
+    def exitant(self, environment: Any, materials: Mapping[str, Any], points: Any = None) -> Exitant:
+        """The result of the BRDF step, which is the same for all points: a change of view makes nothing anew."""
+        exitant: Exitant = super().exitant(environment, materials)
+        return exitant
+
+    @uncompiled
     def light_step(self, environment: Environment) -> Table:
         """The light in every frame, by the rotation operator."""
         s = Resampling(self.starts, self.reads, rotation.SAMPLES)
@@ -273,7 +279,7 @@ class TripleProductRelighter(Relighter):
         return second.to(self.dull.device)
 
     @opaque
-    def brdf_step(self, incident: Table, materials: list[Material | Mixed], points: ShadedPoints) -> Exitant:
+    def brdf_step(self, incident: Table, materials: list[Material | Mixed], points: None) -> Exitant:
         """The BRDFs of the regions' shapes, one after the other, and their weights."""
         pairs = [(m.first, m.second) if isinstance(m, Mixed) else (m, m) for m in materials]
         layers = list(zip(*pairs, strict=True))[: 1 + any(isinstance(m, Mixed) for m in materials)]

@@ -5,19 +5,19 @@ Where a kernel does not fit (another device or type, gradients, no compiler), th
 tells why.
 """
 
+from ptt.ops.native.forming import quantised
 from ptt.ops.native.kernels import available
 from ptt.ops.native.near import of_frames, of_texels, of_views
 from ptt.ops.native.operators import refusals
 from ptt.ops.native.relight import eigen, expand, light_eigen, lighting
 from ptt.ops.native.rotation import (
     local_light,
-    quantised,
-    reflected,
     resampled_light,
     resampled_values,
     rotated_light,
 )
 from ptt.ops.native.shading import shade
+from ptt.ops.native.slices import reflected
 from ptt.ops.native.triple import adaptive
 from ptt.ops.native.viewing import view
 

@@ -52,13 +52,10 @@ def _frames_conditions(frames: Tensor, sampled: Tensor, twists: int, between: bo
 
 _near_frames = operator(
     "near_frames(Tensor frames, Tensor sampled, int twists, bool between) -> (Tensor, Tensor)",
-    plain=lambda *arguments: tuple(t.contiguous() for t in plain.of_frames(*arguments)),
+    plain=lambda *arguments: plain.of_frames(*arguments),
     kernel=_frames_kernel,
     conditions=_frames_conditions,
-    fake=lambda frames, sampled, twists, between: (
-        frames.new_empty(len(frames), CORNERS * (1 + between), dtype=torch.int32),
-        frames.new_empty(len(frames), CORNERS * (1 + between)),
-    ),
+    fake=lambda frames, sampled, twists, between: _empty(frames, CORNERS * (1 + between)),
 )
 
 
@@ -90,13 +87,10 @@ def _views_conditions(frames: Tensor, positions: Tensor, eye: Tensor, views: int
 
 _near_views = operator(
     "near_views(Tensor frames, Tensor positions, Tensor eye, int views) -> (Tensor, Tensor)",
-    plain=lambda *arguments: tuple(t.contiguous() for t in plain.of_views(*arguments)),
+    plain=lambda *arguments: plain.of_views(*arguments),
     kernel=_views_kernel,
     conditions=_views_conditions,
-    fake=lambda frames, positions, eye, views: (
-        frames.new_empty(len(frames), CORNERS, dtype=torch.int32),
-        frames.new_empty(len(frames), CORNERS),
-    ),
+    fake=lambda frames, positions, eye, views: _empty(frames),
 )
 
 
@@ -131,11 +125,8 @@ def _texels_conditions(corner_uv: Tensor, triangle: Tensor, barycentric: Tensor,
 
 _near_texels = operator(
     "near_texels(Tensor corner_uv, Tensor triangle, Tensor barycentric, Tensor in_use) -> (Tensor, Tensor)",
-    plain=lambda *arguments: tuple(t.contiguous() for t in plain.of_texels(*arguments)),
+    plain=lambda *arguments: plain.of_texels(*arguments),
     kernel=_texels_kernel,
     conditions=_texels_conditions,
-    fake=lambda corner_uv, triangle, barycentric, in_use: (
-        in_use.new_empty(len(triangle), CORNERS),
-        corner_uv.new_empty(len(triangle), CORNERS),
-    ),
+    fake=lambda corner_uv, triangle, barycentric, in_use: _empty(triangle),
 )

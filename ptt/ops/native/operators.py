@@ -43,6 +43,7 @@ def operator(
     fake: empty results of the right shapes and types, of tensors without data
     """
     name = schema.split("(", 1)[0]
+    plain = _contiguous(plain)
     DEFINED[name] = plain
     LIBRARY.define(schema, tags=(torch.Tag.pt2_compliant_tag,))
     defined = getattr(torch.ops.ptt, name).default
@@ -81,6 +82,16 @@ def operator(
     LIBRARY.impl(name, recorded, "Autograd")
     torch.library.register_fake(f"ptt::{name}", fake, lib=LIBRARY)
     return call
+
+
+def _contiguous(plain: Callable[..., Any]) -> Callable[..., Any]:
+    """The plain function with contiguous results, as kernels and fakes have them."""
+
+    def function(*arguments: Any) -> Any:
+        result = plain(*arguments)
+        return tuple(t.contiguous() for t in result) if isinstance(result, tuple) else result.contiguous()
+
+    return function
 
 
 def refusal(conditions: Conditions) -> str | None:

@@ -64,7 +64,7 @@ def _lighting_kernel(fine: Tensor, turn: Tensor, directions: Tensor, shares: Ten
 
 _lighting = operator(
     "lighting(Tensor fine, Tensor turn, Tensor directions, Tensor shares, SymInt[] shape) -> Tensor",
-    plain=lambda *arguments: relight.lighting(*arguments).contiguous(),
+    plain=lambda *arguments: relight.lighting(*arguments),
     kernel=_lighting_kernel,
     conditions=_lighting_conditions,
     fake=lambda fine, turn, directions, shares, shape: fine.new_empty(3, *shape),
@@ -117,7 +117,7 @@ def _light_eigen_fake(transfer: Tensor, lighting: Tensor, columns: Tensor | None
 
 _light_eigen = operator(
     "light_eigen(Tensor transfer, Tensor lighting, Tensor? columns) -> Tensor",
-    plain=lambda *arguments: relight.light_eigen(*arguments).contiguous(),
+    plain=lambda *arguments: relight.light_eigen(*arguments),
     kernel=_light_eigen_kernel,
     conditions=_light_eigen_conditions,
     fake=_light_eigen_fake,
@@ -153,7 +153,7 @@ def _eigen_plain(*arguments: Any) -> Tensor:
     direct, one, two, h, pairs, coupling, to_factors, to_harmonics, glossy = arguments
     arriving = ArrivingLight(direct, one, two)
     responses = Responses(to_factors, to_harmonics)
-    return relight.eigen(arriving, h, pairs, coupling, responses, glossy).contiguous()
+    return relight.eigen(arriving, h, pairs, coupling, responses, glossy)
 
 
 def _eigen_conditions(*arguments: Any) -> Conditions:
@@ -270,7 +270,7 @@ def _expand_fake(eigen: Tensor, weights: Tensor, cluster: Tensor) -> tuple[Tenso
 
 _expand = operator(
     "expand(Tensor eigen, Tensor weights, Tensor cluster) -> (Tensor, Tensor)",
-    plain=lambda *arguments: tuple(t.contiguous() for t in relight.expand(*arguments)),
+    plain=lambda *arguments: relight.expand(*arguments),
     kernel=_expand_kernel,
     conditions=_expand_conditions,
     fake=_expand_fake,

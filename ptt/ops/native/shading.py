@@ -121,7 +121,7 @@ def _kernel(*arguments: Tensor) -> Tensor:
 
 _shade = operator(
     SCHEMA,
-    plain=lambda *arguments: plain.shade(*_packed(*arguments)).contiguous(),
+    plain=lambda *arguments: plain.shade(*_packed(*arguments)),
     kernel=_kernel,
     conditions=_conditions,
     fake=lambda *arguments: arguments[16].new_empty(arguments[16].shape),

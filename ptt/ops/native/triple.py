@@ -22,7 +22,7 @@ def adaptive(f: Truncated, g: Truncated, h: Truncated, n: int) -> Tensor:
 
 def _plain(f: Tensor, f_values: Tensor, g: Tensor, g_values: Tensor, h: Tensor, h_values: Tensor, n: int) -> Tensor:
     three = (Truncated(f, f_values), Truncated(g, g_values), Truncated(h, h_values))
-    return plain.adaptive(*three, n).contiguous()
+    return plain.adaptive(*three, n)
 
 
 def _kernel(f: Tensor, f_values: Tensor, g: Tensor, g_values: Tensor, h: Tensor, h_values: Tensor, n: int) -> Tensor:
