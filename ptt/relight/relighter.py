@@ -13,7 +13,7 @@ from ptt.imaging.gbuffer import GBuffer
 from ptt.light.environment import Environment
 from ptt.materials.material import Material, Mixed, materials_of_regions
 from ptt.models.cache import Cache, watched
-from ptt.ops.compiling import in_python, uncompiled
+from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.relight.viewpoint import View, eye_of
 
 
@@ -28,7 +28,8 @@ class Relighter(nn.Module, ABC):
         BRDF     exitant = brdf_step(incident, materials, points)
         view     radiance = view_step(exitant, points, eye)
 
-    `torch.compile(relighter)` keeps the kernels, and fuses what is around them in the BRDF and the view step.
+    `torch.compile(relighter)` fuses the steps where torch does them; where kernels do, nothing is left to fuse (in a
+    trial, 0.15 ms for a graph of what stands around them that takes 0.05 without), and it changes nothing.
     """
 
     pixels: ClassVar[bool] = True
@@ -56,12 +57,19 @@ class Relighter(nn.Module, ABC):
             ValueError: an unknown region, what is no material, or a view of another shape; what a relighter cannot
                 show is named in its own documentation.
         """
+        relit = self._relit_by_kernels if self.compiled else self._relit
+        return relit(environment, materials, view)
+
+    def _relit(self, environment: Environment, materials: Mapping[str, Material], view: View) -> Tensor:
+        """The three steps."""
         if isinstance(view, GBuffer) and not self.pixels:
             raise ValueError(f"{type(self).__name__} relights vertices: view must be a Camera or a tensor")
         chosen = self.chosen(materials)
         eye = eye_of(view, self.positions)
         points = self.points(view, eye, chosen)
         return self.view_step(self.exitant(environment, chosen, points), points, eye)
+
+    _relit_by_kernels = opaque(_relit)
 
     @uncompiled
     def incident(self, environment: Environment) -> Any:
