@@ -188,7 +188,7 @@ def operators(table: Table) -> None:
     rows = torch.empty(16, 4, dtype=torch.int32)
     weights = torch.empty(16, 4)
     structure = kernels.structures()["NearViews"]
-    library = kernels.library()
+    library = kernels.library("near")
     assert library is not None
 
     def bare() -> int:

@@ -16,6 +16,9 @@ from ptt.light.environment import Environment
 from ptt.materials.material import Material
 from ptt.materials.shapes import GGX, BlinnPhong, CookTorrance, Ward
 from ptt.materials.spaces import BRDFSpace
+from ptt.models.receivers import Receivers
+from ptt.models.transfer_model import TransferModel
+from ptt.ops import keeping
 from ptt.scene.default import default_scene
 from ptt.scene.scene import Scene
 from ptt.scene.scene_files import load_scene
@@ -96,6 +99,25 @@ def chosen_space(name: Space, materials: Mapping[str, Material]) -> BRDFSpace:
         )
     anisotropic = any(not shape.isotropic for shape in shapes)
     return BRDFSpace.ward(anisotropic=True) if anisotropic else SPACES[OF_MODEL[models[0]]]()
+
+
+def kept_model(scene: Scene, settings: Mapping[str, Any], make: Callable[[], TransferModel]) -> TransferModel:
+    """The model that `make` makes of a scene with these settings, or made before; a line says where it is kept."""
+    receivers = Receivers.of(scene)
+    made_from = {"faces": scene.faces, "vertices": scene.vertices, **receivers.tensors(), **receivers.config()}
+    path = keeping.place("model", {**made_from, **settings})
+    if path.exists():
+        try:
+            model = TransferModel.load(path)
+        except ValueError as error:
+            print(f"{error}; it is made anew")
+        else:
+            print(f"found the model of this scene in {path}")
+            return model
+    model = make()
+    model.save(path)
+    print(f"the model is kept in {path}")
+    return model
 
 
 def save_config(config: Any, path: Path) -> None:

@@ -4,7 +4,8 @@
     python scripts/relight.py --model runs/bunny/model.safetensors --scene bunny.ply --environment uffizi.hdr
     python scripts/relight.py --region ball --exponent 40 --specular 0.8 0.6 0.3
 
-Without --model the scene is traced and compressed first (a minute on two cores for the default one). Writes to OUT:
+Without --model the scene is traced and compressed first (a minute on two cores for the default one), and what was made
+is kept in ~/.cache/ptt: other flags find it again. Writes to OUT:
 before, material, light and view as .exr and .png, relight.png (all four over their path-traced references and the
 differences, brightened), and relight.json (the config, times, and errors against the reference).
 """
@@ -21,7 +22,7 @@ import torch
 from torch import Tensor
 
 import ptt
-from ptt.cli import chosen_light, chosen_scene, chosen_space, configure, run
+from ptt.cli import chosen_light, chosen_scene, chosen_space, configure, kept_model, run
 
 
 @dataclass
@@ -82,10 +83,8 @@ def main() -> None:
     if config.model is None:
         space = chosen_space("auto", scene.materials | {region: edited})
         space.coordinates(shape)
-        raw = ptt.precompute(scene, config.bounces, rays=config.rays, progress=True)
-        brdf = ptt.TensorBRDF.fit(space, ranks=(4, 16, 16), separated=3)
-        basis = ptt.BRDFBasis.fit(space, config.functions)
-        model = ptt.compress(raw, config.coefficients, brdf, basis, progress=True)
+        settings = {name: getattr(config, name) for name in ("bounces", "rays", "functions", "coefficients")}
+        model = kept_model(scene, settings | {"space": space.to_config()}, lambda: traced(scene, space, config))
     else:
         model = ptt.TransferModel.load(config.model)
         model.brdf.space.coordinates(shape)
@@ -127,6 +126,14 @@ def main() -> None:
         json.dumps({"config": asdict(config), "states": report}, default=str, indent=2) + "\n"
     )
     print(f"pictures are in {config.out}")
+
+
+def traced(scene: ptt.Scene, space: ptt.BRDFSpace, config: Config) -> ptt.TransferModel:
+    """The scene, traced and compressed for the materials of a space."""
+    raw = ptt.precompute(scene, config.bounces, rays=config.rays, progress=True)
+    brdf = ptt.TensorBRDF.fit(space, ranks=(4, 16, 16), separated=3)
+    basis = ptt.BRDFBasis.fit(space, config.functions)
+    return ptt.compress(raw, config.coefficients, brdf, basis, progress=True)
 
 
 def judge(

@@ -74,5 +74,5 @@ def built() -> None:
     """For tests of the kernels: skipped where they cannot be built."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        if not native.available():
+        if not native.available("view"):
             pytest.skip("no C++ compiler")

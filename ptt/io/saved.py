@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
@@ -29,11 +30,12 @@ def save(path: str | PathLike[str], kind: str, config: Mapping[str, Any], tensor
     path = Path(path)
     header = {"ptt": json.dumps({"schema": SCHEMA, "kind": kind, "config": config})}
     ready = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    partial = path.with_name(path.name + ".part")
+    partial = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
         save_file(ready, str(partial), metadata=header)
         partial.replace(path)
     except (OSError, SafetensorError) as error:
+        partial.unlink(missing_ok=True)
         raise ValueError(f"cannot write {path}: {error}") from error
 
 

@@ -13,11 +13,11 @@ integral is the texels' sum by solid angle, but for the first and the last row, 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass, field, replace
-from math import ceil, pi, radians, sin
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from math import pi, radians, sin
 from os import PathLike
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -33,37 +33,99 @@ Colour = float | Sequence[float] | Tensor
 
 LARGEST_RADIANCE = 1e30  # of a map, in its own units: products with it must stay within float32, which ends at 3e38
 _SIZE = 256, 512  # height and width of maps that are made, not loaded
-_LOOKUPS = 1 << 23  # `project` halves a map whose texels would ask for more; bounds its time
 _LUMINANCE = 0.2126, 0.7152, 0.0722  # of linear sRGB (IEC 61966-2-1)
+_ONE = torch.ones(3)
 
 
-@dataclass(frozen=True, eq=False)
+class Layer(NamedTuple):
+    """A map that a light is the sum of.
+
+    texels (height, width, 3): linear RGB, lat-long
+    gain (3,): what they are multiplied by; may require grad
+    rotation (3, 3): takes map directions to world directions, float64
+    largest: absolute value of the texels
+    """
+
+    texels: Tensor
+    gain: Tensor
+    rotation: Tensor
+    largest: float
+
+    @property
+    def changed(self) -> bool:
+        """Whether the gain is not 1."""
+        return self.gain.requires_grad or self.gain.tolist() != [1.0, 1.0, 1.0]
+
+    def scaled(self, values: Tensor) -> Tensor:
+        """Values (..., 3) of the texels times the gain."""
+        return values * self.gain.to(values) if self.changed else values
+
+
+@dataclass(frozen=True, eq=False, init=False)
 class Environment:
-    """Radiance from every direction, the same at every point.
+    """Radiance from every direction, the same at every point: a map, or the sum of several.
 
     map (height, width, 3): linear RGB, float32, lat-long, width even [the map's own units]; may require grad
     rotation (3, 3): takes map directions to world directions, float64
+
+    `rotated`, `scaled` and `+` keep the maps as they are: what a relighter made ready of each serves them all.
 
     Laws:
 
     - ``e.rotated(...).radiance(R d) = e.radiance(d)``.
     - The cells of ``e.project(g)`` times ``g.solid_angles()`` sum to ``e.integral()``.
     - `radiance`, `project` and `integral` are linear in `map`, and differentiable.
+    - ``(2 * a + b).radiance(d) = 2 * a.radiance(d) + b.radiance(d)``, with `scaled` for the product.
 
     Raises:
         ValueError: `map` has another shape or type or is not finite; `rotation` is no rotation.
     """
 
-    map: Tensor
-    rotation: Tensor = field(default_factory=lambda: torch.eye(3, dtype=torch.float64))
+    layers: tuple[Layer, ...]
 
-    def __post_init__(self) -> None:
-        if self.map.ndim != 3 or self.map.shape[2] != 3 or self.map.shape[1] % 2 or self.map.numel() == 0:
-            raise ValueError(f"map must have shape (height, even width, 3), got {tuple(self.map.shape)}")
-        if self.map.dtype != torch.float32:
-            raise ValueError(f"map must be float32, got {self.map.dtype}")
-        _check_finite("map", self.map)
-        _check_rotation(self.rotation)
+    def __init__(self, map: Tensor, rotation: Tensor | None = None) -> None:
+        if map.ndim != 3 or map.shape[2] != 3 or map.shape[1] % 2 or map.numel() == 0:
+            raise ValueError(f"map must have shape (height, even width, 3), got {tuple(map.shape)}")
+        if map.dtype != torch.float32:
+            raise ValueError(f"map must be float32, got {map.dtype}")
+        rotation = torch.eye(3, dtype=torch.float64) if rotation is None else rotation
+        _check_rotation(rotation)
+        layer = Layer(map, _ONE, rotation, _checked_largest("map", map))
+        object.__setattr__(self, "layers", (layer,))
+
+    @classmethod
+    def _of(cls, layers: Iterable[Layer]) -> Environment:
+        """The sum of layers."""
+        environment = object.__new__(cls)
+        object.__setattr__(environment, "layers", tuple(layers))
+        largest = sum(layer.largest * float(layer.gain.detach().max()) for layer in environment.layers)
+        if not largest <= LARGEST_RADIANCE:
+            raise ValueError(f"radiance must stay within {LARGEST_RADIANCE:g}, got up to {largest:g}")
+        return environment
+
+    @property
+    def map(self) -> Tensor:
+        """The light as one map, turned by `rotation`; of maps that differ in size or turn, resampled to the largest."""
+        if self._one_frame:
+            return self._summed(lambda texels, _: texels)
+        height = max(len(layer.texels) for layer in self.layers)
+        width = max(layer.texels.shape[1] for layer in self.layers)
+        turn = self.rotation.float().T
+        return LatLong(height, width).means(lambda directions: self.radiance(directions @ turn), 3)
+
+    @property
+    def rotation(self) -> Tensor:
+        """What takes directions of `map` to world directions: that of the first layer."""
+        return self.layers[0].rotation
+
+    @property
+    def _one_frame(self) -> bool:
+        """Whether all layers have texels in the same directions."""
+        first = self.layers[0]
+        return all(
+            layer.texels.shape == first.texels.shape and torch.equal(layer.rotation, first.rotation)
+            for layer in self.layers
+        )
 
     @classmethod
     def load(cls, path: str | PathLike[str], layout: Layout = "auto") -> Environment:
@@ -76,7 +138,7 @@ class Environment:
         """
         image = read_image(path)
         image = image[..., :3] if image.shape[2] > 2 else image[..., :1].expand(-1, -1, 3)
-        _check_finite(str(path), image)
+        _checked_largest(str(path), image)
         negative = int((image < 0).sum())
         if negative:
             message = f"{path}: {negative} of {image.numel()} values were negative and became 0"
@@ -136,79 +198,47 @@ class Environment:
         return cls(sky.map + sun.map / (pi * sin(radians(radius)) ** 2))
 
     def __add__(self, other: Environment) -> Environment:
-        """The sum of two lights, such as area lights.
-
-        Raises:
-            ValueError: their maps differ in size, or one is turned against the other.
-        """
-        if self.map.shape != other.map.shape or not torch.equal(self.rotation, other.rotation):
-            raise ValueError("lights must have maps of one size that are turned alike: add first, then turn the sum")
-        return replace(self, map=self.map + other.map)
+        """The sum of two lights, of any sizes and turns."""
+        return Environment._of(self.layers + other.layers)
 
     def rotated(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Environment:
         """The environment turned by degrees about the world axes, first x, then y, then z; right-handed."""
-        rotation = turn(2, z) @ turn(1, y) @ turn(0, x) @ self.rotation
+        rotation = turn(2, z) @ turn(1, y) @ turn(0, x)
         _check_rotation(rotation)
-        turned = copy(self)  # without checking the map again
-        object.__setattr__(turned, "rotation", rotation)
-        return turned
+        return Environment._of(layer._replace(rotation=rotation @ layer.rotation) for layer in self.layers)
 
     def scaled(self, factor: Colour) -> Environment:
-        """The environment with its radiance multiplied by `factor`."""
-        return replace(self, map=self.map * _colour("factor", factor).to(self.map))
+        """The environment with its radiance multiplied by `factor`, which may require grad."""
+        colour = _colour("factor", factor)
+        return Environment._of(layer._replace(gain=layer.gain * colour) for layer in self.layers)
 
     def radiance(self, directions: Tensor) -> Tensor:
         """Radiance (..., 3) from world directions (..., 3), which need not be unit."""
-        x, y, z = (directions.to(self.map) @ self.rotation.to(self.map)).unbind(-1)
-        height, width = self.map.shape[:2]
-        u = torch.atan2(x, -z) * (width / (2 * pi)) % width
-        v = torch.atan2(torch.hypot(x, z), y) * (height / pi)
-        return latlong.bilinear(latlong.surrounded(self.map), u + 1, v + 1)
+        return self._summed(
+            lambda texels, rotation: latlong.radiance(texels, directions.to(texels) @ rotation.to(texels))
+        )
 
     def project(self, grid: Grid) -> Tensor:
-        """Mean radiance of each cell (*grid.shape, 3), by solid angle.
-
-        The means follow from the midpoint rule, with about three samples to a texel along each axis. Where texels are
-        narrower, near the poles, rows are first blurred along u to three samples, so that one bright texel keeps its
-        energy to 1 or 2 % wherever it is. Where many lookups would be needed, the map is first halved, as long as a
-        cell spans more than eight texels; that keeps the integral.
-        """
-        spacing = float(grid.solid_angles().max().sqrt())
-        light = self
-        while grid.cells * light._samples_per_cell(spacing) ** 2 > _LOOKUPS and light._may_halve(spacing):
-            light = light._halved()
-        samples = light._samples_per_cell(spacing)
-        even = replace(light, map=latlong.even_rows(light.map, 3 * spacing / samples))
-        return grid.means(even.radiance, samples)
+        """Mean radiance of each cell (*grid.shape, 3), by solid angle (`ptt.ops.latlong.means`)."""
+        return self._summed(lambda texels, rotation: latlong.means(texels, grid, rotation))
 
     def integral(self) -> Tensor:
         """The integral (3,) of the radiance over the sphere [map's units x sr], exact for the interpolant."""
-        weights = latlong.texel_weights(*self.map.shape[:2]).to(self.map)
-        return weights @ self.map.sum(1)  # row by row: half a million texels in one float32 sum lose 1e-3
+
+        def integral(texels: Tensor, _: Tensor) -> Tensor:
+            weights = latlong.texel_weights(*texels.shape[:2]).to(texels)
+            return weights @ texels.sum(1)  # row by row: half a million texels in one float32 sum lose 1e-3
+
+        return self._summed(integral)
 
     def sampler(self) -> EnvironmentSampler:
         """A sampler of directions by luminance; gradients stop here."""
         return EnvironmentSampler.build(self.map.detach(), self.rotation)
 
-    def _texel_angle(self) -> float:
-        """The smaller side [rad] of a texel on the equator."""
-        height, width = self.map.shape[:2]
-        return min(pi / height, 2 * pi / width)
-
-    def _samples_per_cell(self, spacing: float) -> int:
-        """Samples along the edge of a cell that is `spacing` [rad] wide, three to a texel."""
-        return ceil(3 * spacing / self._texel_angle())
-
-    def _may_halve(self, spacing: float) -> bool:
-        """Tell whether the map can be halved, and a cell that is `spacing` [rad] wide spans more than eight texels."""
-        height, width = self.map.shape[:2]
-        return spacing > 8 * self._texel_angle() and height % 2 == 0 and width % 4 == 0
-
-    def _halved(self) -> Environment:
-        """The environment with half as many rows and columns, and the same integral."""
-        columns = (self.map[:, ::2] + self.map[:, 1::2]) / 2
-        rows = latlong.halving(self.map.shape[0]).to(self.map)
-        return replace(self, map=torch.einsum("rh,hwc->rwc", rows, columns))
+    def _summed(self, function: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
+        """The sum of function(texels, rotation) (..., 3), linear in the texels, over the layers."""
+        first, *others = [layer.scaled(function(layer.texels, layer.rotation)) for layer in self.layers]
+        return sum(others, first)
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,12 +328,17 @@ def _direction(value: Sequence[float] | Tensor) -> Tensor:
     return direction
 
 
-def _check_finite(name: str, values: Tensor) -> None:
+def _checked_largest(name: str, values: Tensor) -> float:
+    """The largest absolute value.
+
+    Raises:
+        ValueError: one is NaN, or beyond LARGEST_RADIANCE.
+    """
+    largest = float(values.detach().abs().max())
+    if largest <= LARGEST_RADIANCE:
+        return largest
     bad = int((~(values.abs() <= LARGEST_RADIANCE)).sum())
-    if bad:
-        raise ValueError(
-            f"{name} must be finite: {bad} of {values.numel()} values are NaN or beyond {LARGEST_RADIANCE:g}"
-        )
+    raise ValueError(f"{name} must be finite: {bad} of {values.numel()} values are NaN or beyond {LARGEST_RADIANCE:g}")
 
 
 def _check_rotation(r: Tensor) -> None:

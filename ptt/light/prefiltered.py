@@ -1,6 +1,6 @@
-"""An environment made ready once, so that turning it costs little: a fine map, and one blurred by each lobe.
+"""A map made ready once, so that turns, factors and sums of lights cost little: a fine one, and one a lobe, blurred.
 
-They are octahedral maps in the environment's own frame: a turn of the light turns the directions that they are read in.
+They are octahedral maps in the map's own frame: a turn of the light turns the directions that they are read in.
 
 Sun et al. 2007, section 4.1.
 """
@@ -8,21 +8,21 @@ Sun et al. 2007, section 4.1.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, MutableMapping, Sequence
 from functools import cache
 from math import radians, sin
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn.functional import pad
+from torch.utils.weak import WeakTensorKeyDictionary
 
-from ptt.light.environment import Environment
-from ptt.ops import lobes
+from ptt.ops import latlong, lobes
 from ptt.ops.octahedral import Octahedral, bordered
 from ptt.ops.sphere import Grid
+from ptt.ops.view import light_about
 
 FINE_SIDE = 256  # cells along an edge of the map from which lighting is read
 BLURRED_SIDE = 128  # cells along an edge of the blurred maps
@@ -31,7 +31,7 @@ SOURCE_SIDE = {7.0: 128, 14.0: 64, 21.0: 32}
 
 
 class LightMaps(NamedTuple):
-    """The maps of one environment; the fourth channel is a zero that aligns them.
+    """What is made of one map; the fourth channel is a zero that aligns them.
 
     fine (FINE_SIDE ** 2, 4): mean light of each cell
     blurred (k, (BLURRED_SIDE + 2) ** 2, 4): mean light under each lobe, on maps that are `bordered`
@@ -41,21 +41,67 @@ class LightMaps(NamedTuple):
     blurred: Tensor
 
 
-def light_maps(environment: Environment, angles: Sequence[float]) -> LightMaps:
-    """The maps of an environment, for lobes of the given widths [degrees]; its turn does not matter."""
-    still = replace(environment, rotation=torch.eye(3, dtype=torch.float64))
-    fine = still.project(Octahedral(FINE_SIDE))
-    light = fine * Octahedral(FINE_SIDE).solid_angles()[..., None].to(fine)
-    blurred = fine.new_zeros(len(angles), BLURRED_SIDE**2, 3)
-    for k, angle in enumerate(angles):
-        n = SOURCE_SIDE.get(angle, BLURRED_SIDE)
-        summed = Octahedral(n).coarsen(light, FINE_SIDE // n).reshape(-1, 3)
-        if angle == 0:
-            blurred[k] = summed / Octahedral(n).solid_angles().reshape(-1, 1).to(fine)
-        else:
-            blurred[k] = _blur(angle, n).to(fine) @ summed
-    around = bordered(blurred.movedim(1, 0)).movedim(1, 0)
-    return LightMaps(pad(fine.reshape(-1, 3), (0, 1)), pad(around, (0, 1)).contiguous())
+Means = Callable[[Tensor, int, int, float], Tensor]
+_READY: MutableMapping[Tensor, dict[tuple[Any, ...], LightMaps]] = WeakTensorKeyDictionary()
+"""What was made of a map's texels, for as long as they are there."""
+
+
+def light_maps(
+    texels: Tensor,
+    angles: Sequence[float],
+    octahedral_means: Means = latlong.octahedral_means,
+) -> LightMaps:
+    """The maps of a light's texels (h, w, 3), for lobes of the given widths [degrees]; made once, until texels change.
+
+    octahedral_means: `ptt.ops.latlong.octahedral_means`, or its kernel
+    """
+    if texels.is_inference() or (torch.is_grad_enabled() and texels.requires_grad):
+        return _made(texels, angles, octahedral_means)
+    made = _READY.setdefault(texels, {})
+    key = (texels._version, tuple(angles), octahedral_means)
+    if key not in made:
+        with torch.inference_mode(False), torch.no_grad():
+            ready = _made(texels, angles, octahedral_means)
+        stale = [other for other in made if other[0] != texels._version]
+        for other in stale:
+            del made[other]
+        made[key] = ready
+    return made[key]
+
+
+def _made(texels: Tensor, angles: Sequence[float], octahedral_means: Means) -> LightMaps:
+    texels, samples, arc = latlong.sampled(texels, Octahedral(FINE_SIDE))
+    fine = octahedral_means(texels, FINE_SIDE, samples, arc)
+    light = (fine * _solid_angles(FINE_SIDE).to(fine)).reshape(FINE_SIDE, FINE_SIDE, 3)
+    blurred = [_blurred(light, angle) for angle in angles]
+    around = [bordered(each) for each in blurred] or [fine.new_zeros(0, 3)]
+    return LightMaps(pad(fine, (0, 1)), pad(torch.stack(around), (0, 1))[: len(angles)])
+
+
+def _blurred(light: Tensor, angle: float) -> Tensor:
+    """The mean (BLURRED_SIDE ** 2, 3) under a lobe of light times solid angle (FINE_SIDE, FINE_SIDE, 3)."""
+    n = SOURCE_SIDE.get(angle, BLURRED_SIDE)
+    summed = Octahedral(n).coarsen(light, FINE_SIDE // n).reshape(-1, 3)
+    return summed / _solid_angles(n).to(light) if angle == 0 else _blur(angle, n).to(light) @ summed
+
+
+def turned(maps: Tensor, turn: Tensor) -> Tensor:
+    """Blurred maps (k, cells, 4) of a light that is turned: in its frame, directions are turn @ those of the maps."""
+    axes = _axes(BLURRED_SIDE).to(maps) @ turn.to(maps)
+    light = light_about(maps, axes[:, None].expand(-1, len(maps), -1))  # shape: (cells, k, 3)
+    return pad(bordered(light).transpose(0, 1), (0, 1)).contiguous()
+
+
+@cache
+def _solid_angles(n: int) -> Tensor:
+    """Of an octahedral map's cells (n * n, 1)."""
+    return Octahedral(n).solid_angles().reshape(-1, 1)
+
+
+@cache
+def _axes(n: int) -> Tensor:
+    """Of an octahedral map's cells (n * n, 3)."""
+    return Octahedral(n).directions().reshape(-1, 3)
 
 
 def samples(grid: Grid) -> tuple[Tensor, Tensor]:
@@ -70,14 +116,14 @@ def samples(grid: Grid) -> tuple[Tensor, Tensor]:
 @cache
 def _blur(angle: float, n: int) -> Tensor:
     """The matrix (BLURRED_SIDE ** 2, n * n), sparse CSR, from light times solid angle to mean light under a lobe."""
-    cells = Octahedral(n).directions().reshape(-1, 3)
-    axes = Octahedral(BLURRED_SIDE).directions().reshape(-1, 3)
+    cells = _axes(n)
+    axes = _axes(BLURRED_SIDE)
     chord = 2 * sin(radians(angle) / 2)
     near = cKDTree(axes.numpy()).sparse_distance_matrix(cKDTree(cells.numpy()), chord, output_type="coo_matrix")
     row = torch.from_numpy(near.row).long()
     column = torch.from_numpy(near.col).long()
     weight = lobes.gaussian(2 * torch.from_numpy(near.data).div(2).asin(), angle)
-    solid_angles = Octahedral(n).solid_angles().flatten()
+    solid_angles = _solid_angles(n)[:, 0]
     total = torch.zeros(len(axes)).double().index_add_(0, row, weight * solid_angles[column])
     size = (len(axes), len(cells))
     values = (weight / total[row]).float()

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from ptt.materials.material import Material
 from ptt.materials.shapes import Shape
 from ptt.materials.spaces import BRDF, BRDFSpace
+from ptt.models import kept
 from ptt.ops import brdf
 from ptt.ops.albedo import gauss_legendre, nodes
 
@@ -62,17 +63,25 @@ class BRDFBasis(nn.Module):
 
         functions: number of specular functions; where the space has fewer independent samples, the rest are zero
 
+        The result is kept as that of `TensorBRDF.fit`.
+
         Raises:
             ValueError: functions are not in 1..samples.
         """
         if not 1 <= functions <= len(space.samples):
             raise ValueError(f"functions must be in 1..{len(space.samples)}, the samples, got {functions}")
+        settings = {"functions": functions}
+        return cls(space, **kept.fit("BRDF basis", space, settings, lambda: cls._fitted(space, functions)))
+
+    @staticmethod
+    def _fitted(space: BRDFSpace, functions: int) -> dict[str, Tensor]:
+        """The parts of `fit`."""
         features = _features(space.samples)
         norms = features.norm(dim=1, keepdim=True).clamp(min=1e-300)
         size, vectors = principal(features / norms @ (features / norms).T, functions)
         mixture = vectors / size.clamp(min=1e-300).sqrt() * (size > ROUNDING * size[0]) / norms
         mixture, table, error = _coefficients_of(features, features, mixture)
-        return cls(space, mixture, table, error)
+        return {"mixture": mixture, "table": table, "error": error}
 
     def with_brdf(self, name: str, brdf: BRDF | Material) -> BRDFBasis:
         """The basis with one more sample, a function f(wi, wo) or a material's shape by name.

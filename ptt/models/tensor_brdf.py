@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from ptt.materials.material import Material
 from ptt.materials.shapes import Shape
 from ptt.materials.spaces import BRDF, BRDFSpace
+from ptt.models import kept
 from ptt.ops import lobes, separation, transfer, tucker
 from ptt.ops.sphere import Disk
 
@@ -69,25 +70,43 @@ class TensorBRDF(nn.Module):
         separated: how many of the lobes of 0, 7, 14 and 21 degrees are taken out, 0..4. None takes the fewest that
             come near the least error: none for a diffuse space, all for the papers' two
 
+        It takes seconds, once: the result is kept, and found again by the space and the settings, but for a space of
+        functions of the user's own.
+
         Raises:
             ValueError: not exactly one of ranks and error is given, or one is out of range.
         """
+        settings = {"ranks": ranks, "error": error, "separated": separated, "resolution": resolution}
+        parts = kept.fit(
+            "BRDF tensor", space, settings, lambda: cls._fitted(space, ranks, error, separated, resolution)
+        )
+        return cls(space, **parts)
+
+    @classmethod
+    def _fitted(
+        cls,
+        space: BRDFSpace,
+        ranks: Sequence[int] | None,
+        error: float | None,
+        separated: int | None,
+        resolution: int,
+    ) -> dict[str, Tensor]:
+        """The parts of `fit`."""
         if separated is None:
             separated = _fewest_lobes(space, ranks, error)
         samples = Remainders(space.samples, lobes.ANGLES[:separated], resolution)
         fit, missed = samples.decompose(ranks, error)
         u_h, u_o, u_i = fit.factors
         peaks, axes = separation.tables([shape.evaluate for shape in space.samples], space.isotropic, samples.angles)
-        return cls(
-            space,
-            core=fit.core.contiguous(),
-            u_h=u_h * torch.tensor([samples.norms[h] for h in range(len(samples))])[:, None],
-            u_o=samples.texels.table(u_o),
-            u_i=samples.texels.table(u_i),
-            peaks=peaks,
-            axes=axes,
-            error=missed,
-        )
+        return {
+            "core": fit.core.contiguous(),
+            "u_h": u_h * torch.tensor([samples.norms[h] for h in range(len(samples))])[:, None],
+            "u_o": samples.texels.table(u_o),
+            "u_i": samples.texels.table(u_i),
+            "peaks": peaks,
+            "axes": axes,
+            "error": missed,
+        }
 
     @property
     def angles(self) -> tuple[float, ...]:

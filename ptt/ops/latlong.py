@@ -6,14 +6,16 @@ the texels' directions and solid angles; here is what the interpolant adds.
 
 from __future__ import annotations
 
-from math import cos, pi, radians, sin
+from math import ceil, cos, pi, radians, sin
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ptt.ops.sphere import LatLong
+from ptt.ops.octahedral import Octahedral
+from ptt.ops.sphere import Grid, LatLong
 
+_LOOKUPS = 1 << 23  # `means` halves a map whose texels would ask for more; bounds its time
 _MIDPOINTS = 32  # of the coverage by a cap across each row of texels
 
 
@@ -58,6 +60,69 @@ def halving(height: int) -> Tensor:
     upper = torch.minimum(new[1:, None], old[1:])
     lower = torch.maximum(new[:-1, None], old[:-1])
     return (upper - lower).clamp(min=0) / new.diff()[:, None]
+
+
+def radiance(texels: Tensor, directions: Tensor) -> Tensor:
+    """The interpolant (..., 3) of texels (h, w, 3) in directions (..., 3) of the map, which need not be unit."""
+    x, y, z = directions.unbind(-1)
+    height, width = texels.shape[:2]
+    u = torch.atan2(x, -z) * (width / (2 * pi)) % width
+    v = torch.atan2(torch.hypot(x, z), y) * (height / pi)
+    return bilinear(surrounded(texels), u + 1, v + 1)
+
+
+def means(texels: Tensor, grid: Grid, rotation: Tensor) -> Tensor:
+    """Means (*grid.shape, 3) of the interpolant of texels (h, w, 3), by solid angle; world = rotation @ map.
+
+    They follow from the midpoint rule, with about three samples to a texel along each axis. Where texels are narrower,
+    near the poles, rows are first blurred along u to three samples, so that one bright texel keeps its energy to 1 or
+    2 % wherever it is. Where many lookups would be needed, the map is first halved, as long as a cell spans more than
+    eight texels; that keeps the integral.
+    """
+    texels, samples, arc = sampled(texels, grid)
+    return _means(texels, grid, rotation, samples, arc)
+
+
+def _means(texels: Tensor, grid: Grid, rotation: Tensor, samples: int, arc: float) -> Tensor:
+    even = even_rows(texels, arc)
+    return grid.means(lambda directions: radiance(even, directions.to(even) @ rotation.to(even)), samples)
+
+
+def octahedral_means(texels: Tensor, n: int, samples: int, arc: float) -> Tensor:
+    """Means (n * n, 3) over the cells of an octahedral map in the frame of the texels, of what `sampled` gives."""
+    return _means(texels, Octahedral(n), torch.eye(3), samples, arc).flatten(0, 1)
+
+
+def sampled(texels: Tensor, grid: Grid) -> tuple[Tensor, int, float]:
+    """The texels (h, w, 3) that `means` reads, maybe halved; samples along a cell's edge, and their arc [radians]."""
+    spacing = float(grid.solid_angles().max().sqrt())
+    while grid.cells * _samples(texels, spacing) ** 2 > _LOOKUPS and _may_halve(texels, spacing):
+        texels = halved(texels)
+    samples = _samples(texels, spacing)
+    return texels, samples, 3 * spacing / samples
+
+
+def halved(texels: Tensor) -> Tensor:
+    """Texels (h / 2, w / 2, 3) with the integral of those (h, w, 3)."""
+    columns = (texels[:, ::2] + texels[:, 1::2]) / 2
+    return torch.einsum("rh,hwc->rwc", halving(len(texels)).to(texels), columns)
+
+
+def _samples(texels: Tensor, spacing: float) -> int:
+    """Samples along the edge of a cell that is `spacing` [rad] wide, three to a texel."""
+    return ceil(3 * spacing / _texel_angle(texels))
+
+
+def _may_halve(texels: Tensor, spacing: float) -> bool:
+    """Tell whether texels can be halved, and a cell that is `spacing` [rad] wide spans more than eight of them."""
+    height, width = texels.shape[:2]
+    return spacing > 8 * _texel_angle(texels) and height % 2 == 0 and width % 4 == 0
+
+
+def _texel_angle(texels: Tensor) -> float:
+    """The smaller side [rad] of a texel on the equator."""
+    height, width = texels.shape[:2]
+    return min(pi / height, 2 * pi / width)
 
 
 def even_rows(texels: Tensor, arc: float) -> Tensor:

@@ -117,6 +117,12 @@ class _OctahedralGrid(Squares):
     def _cell_directions(self, rows: Tensor, columns: Tensor) -> Tensor:
         return unit(self._octahedron_points(*crossed(2 * centres(rows) - 1, 2 * centres(columns) - 1)))
 
+    def _cell_weights(self, rows: Tensor, columns: Tensor) -> Tensor:
+        # of a point p of the octahedron, |p|^-3: its faces are at one distance, and a ray meets them at a slant of |p|
+        points = self._octahedron_points(*crossed(2 * centres(rows) - 1, 2 * centres(columns) - 1))
+        lengths: Tensor = torch.linalg.vector_norm(points.float(), dim=-1)
+        return lengths**-3
+
     def _cell_solid_angles(self, rows: Tensor, columns: Tensor) -> Tensor:
         # both diagonals cut a cell in four triangles, none of which has a fold inside
         b = 2 * rows - 1

@@ -1,5 +1,6 @@
 """The plain functions that `ptt.ops.native` has kernels for, by the same names: their oracles and derivatives."""
 
+from ptt.ops.latlong import octahedral_means
 from ptt.ops.near import of_frames, of_texels, of_views
 from ptt.ops.relight import eigen, expand, light_eigen, lighting
 from ptt.ops.rotation import local_light, quantised, resampled_light, resampled_values, rotated_light
@@ -15,6 +16,7 @@ __all__ = [
     "light_eigen",
     "lighting",
     "local_light",
+    "octahedral_means",
     "of_frames",
     "of_texels",
     "of_views",

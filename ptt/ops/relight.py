@@ -23,7 +23,6 @@ import torch
 from torch import Tensor
 
 from ptt.ops import haar
-from ptt.ops.constants import TINY
 from ptt.ops.octahedral import corners, mix, octahedral
 
 
@@ -62,18 +61,14 @@ def lighting(fine: Tensor, turn: Tensor, directions: Tensor, shares: Tensor, sha
 
 
 def light_eigen(transfer: Tensor, lighting: Tensor, columns: Tensor | None = None) -> Tensor:
-    """U (k, c, x) from T (k, l, x) of eigen-points and lighting (k, c, l) or (c, l); the product in the type of T.
+    """U (k, c, x) from T (k, l, x) of eigen-points and lighting (k, c, l) or (c, l), in the type of the lighting.
 
     columns (k, l): which of the lighting (c, ..) those l are, one choice a cluster
-    In 16 bits lighting is divided by its largest value before, and U multiplied after: float16 holds no sun, and a
-    light times a factor rounds as the light itself.
+    T is stored in as few bits as one likes; products and sums are the lighting's, whatever the processor is fast at.
     """
     if columns is not None:
         lighting = lighting.index_select(1, columns.flatten()).unflatten(1, columns.shape).transpose(0, 1)
-    if transfer.dtype.itemsize > 2 or not transfer.numel():
-        return torch.matmul(lighting, transfer.to(lighting.dtype))
-    scale = lighting.detach().abs().amax().clamp(min=TINY)
-    return torch.matmul((lighting / scale).to(transfer.dtype), transfer).to(lighting.dtype) * scale
+    return torch.matmul(lighting, transfer.to(lighting.dtype))
 
 
 class ArrivingLight(NamedTuple):

@@ -77,7 +77,7 @@ class Grid(ABC):
     def means(self, function: _Function, k: int, chunk: int = 1 << 20) -> Tensor:
         """Mean over each cell (*shape, channels) of function(directions (..., 3) float32) -> (..., channels).
 
-        The midpoint rule on `refine(k)`, weighted by exact solid angles, about `chunk` directions at a time.
+        The midpoint rule on `refine(k)`, weighted by solid angles, about `chunk` directions at a time.
         A cell without a weight (outside the disk) takes the plain mean.
         """
 
@@ -114,8 +114,12 @@ class Squares(Grid):
         for first in range(0, self.shape[-2], step):
             strip = rows[first * k : (first + step) * k + 1]
             values = function(self._cell_directions(strip.float(), columns.float()))
-            weights = self._cell_solid_angles(strip, columns).to(values).clamp(min=1e-30)[..., None]
+            weights = self._cell_weights(strip, columns).to(values).clamp(min=1e-30)[..., None]
             yield self._block_sums(values * weights, k) / self._block_sums(weights, k)
+
+    def _cell_weights(self, rows: Tensor, columns: Tensor) -> Tensor:
+        """What `means` weights cells by, in proportion to their solid angles, exactly or where cells are small."""
+        return self._cell_solid_angles(rows, columns)
 
     def _block_sums(self, values: Tensor, k: int) -> Tensor:
         """Sums of values (faces, rows k, columns k, ...) over the k x k parts of each cell; faces may be missing."""

@@ -132,7 +132,7 @@ class ClusterSteps(nn.Module):
     def incident(self, environment: Environment) -> ClusterLight:
         """The light step."""
         arriving = self.arriving(self.light(environment))
-        return ClusterLight(arriving, self.light.maps(environment).blurred, self.light.turn(environment))
+        return ClusterLight(arriving, *self.light.blurred(environment))
 
     def arriving(self, light: Tensor) -> list[ArrivingLight]:
         """What arrives at the eigen-points of every region, of lighting (c, 6, n, n)."""

@@ -117,6 +117,7 @@ class EnvMapRelighter(Relighter):
         >>> pixels.image(relighter(light, {}, pixels), light).save("mesh.png")
     """
 
+    sources_in_c = ("maps", "light", "rotation")
     cosine: Tensor
     occlusion: Tensor
 

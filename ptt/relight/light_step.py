@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import torch
 from torch import Tensor, nn
+from torch.nn.functional import pad
 
 from ptt.light import prefiltered
-from ptt.light.environment import Environment
+from ptt.light.environment import Environment, Layer
 from ptt.light.prefiltered import LightMaps
-from ptt.models.cache import Cache
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.sphere import Grid
 from ptt.relight.operations import operations
@@ -23,8 +24,8 @@ class LightStep(nn.Module):
     angles: of the lobes by which `maps` blurs the light [degrees]
     compiled: as `operations` says
 
-    - A turn of the light costs a lookup; another map is made ready first, and kept until the next.
-    - Differentiable in the map.
+    - A turn, a factor or a sum of lights costs a lookup a map; another map is made ready first, and kept with it.
+    - Differentiable in the map and in factors.
 
     Sun et al. 2007, section 3.1: L is a plain expansion; solid angles belong to the transfer.
     """
@@ -40,24 +41,39 @@ class LightStep(nn.Module):
         directions, shares = prefiltered.samples(grid)
         self.register_buffer("directions", directions, persistent=False)
         self.register_buffer("shares", shares, persistent=False)
-        self._maps = Cache()
 
     @uncompiled
     def forward(self, environment: Environment) -> Tensor:
         """L (3, *grid.shape)."""
-        return self.projected(self.maps(environment).fine, self.turn(environment))
+        first, *others = [self._projected(layer) for layer in environment.layers]
+        return sum(others, first)
+
+    def _projected(self, layer: Layer) -> Tensor:
+        """L of one map."""
+        light = self.projected(self.maps(layer).fine, layer.rotation.to(self.directions))
+        return light * layer.gain.to(light).reshape(3, *[1] * len(self.shape)) if layer.changed else light
 
     def projected(self, fine: Tensor, turn: Tensor) -> Tensor:
         """L of a map that is ready, turned."""
         lighting: Tensor = self._operations.lighting(fine, turn, self.directions, self.shares, self.shape)
         return lighting
 
-    @opaque
-    def maps(self, environment: Environment) -> LightMaps:
-        """The map, fine and blurred by each lobe, in its own frame."""
-        kept: LightMaps = self._maps(environment.map, lambda: prefiltered.light_maps(environment, self.angles))
-        return LightMaps(*(maps.to(self.directions) for maps in kept))
+    def blurred(self, environment: Environment) -> tuple[Tensor, Tensor]:
+        """The light blurred by each lobe (k, cells, 4), and its turn (3, 3): world = turn @ map."""
+        first, *others = environment.layers
+        maps = self._blurred(first)
+        for layer in others:
+            turn = first.rotation.T @ layer.rotation
+            more = self._blurred(layer)
+            maps = maps + (more if torch.equal(first.rotation, layer.rotation) else prefiltered.turned(more, turn))
+        return maps, first.rotation.to(self.directions)
 
-    def turn(self, environment: Environment) -> Tensor:
-        """The turn (3, 3) of the light: world = turn @ map."""
-        return environment.rotation.to(self.directions)
+    def _blurred(self, layer: Layer) -> Tensor:
+        blurred = self.maps(layer).blurred
+        return blurred * pad(layer.gain, (0, 1)).to(blurred) if layer.changed else blurred
+
+    @opaque
+    def maps(self, layer: Layer) -> LightMaps:
+        """One map, fine and blurred by each lobe, in its own frame."""
+        ready = prefiltered.light_maps(layer.texels, self.angles, self._operations.octahedral_means)
+        return LightMaps(*(maps.to(self.directions) for maps in ready))

@@ -13,6 +13,7 @@ from ptt.imaging.gbuffer import GBuffer
 from ptt.light.environment import Environment
 from ptt.materials.material import Material, Mixed, materials_of_regions
 from ptt.models.cache import Cache, watched
+from ptt.ops import native
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.relight.viewpoint import View, eye_of
 
@@ -36,10 +37,14 @@ class Relighter(nn.Module, ABC):
     """Whether a view may be a `GBuffer`."""
     mixed: ClassVar[bool] = False
     """Whether a region may have two materials."""
+    sources_in_c: ClassVar[tuple[str, ...]]
+    """The files of kernels that the steps call, in `ptt/ops/native`."""
 
     def __init__(self, compiled: bool) -> None:
         super().__init__()
         self.compiled = compiled
+        if compiled:
+            native.prepare(*self.sources_in_c)
         self._incident = Cache()
         self._exitant = Cache()
 

@@ -37,6 +37,7 @@ class TransferRelighter(Relighter):
     """
 
     pixels = False
+    sources_in_c = ("maps", "light", "brdf", "view")
 
     def __init__(self, model: TransferModel, compiled: bool = True) -> None:
         super().__init__(compiled)

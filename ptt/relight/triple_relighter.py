@@ -99,6 +99,7 @@ class TripleProductRelighter(Relighter):
 
     pixels = True
     mixed = True
+    sources_in_c = ("maps", "light", "rotation", "near", "shading")
     frames: Tensor
     starts: Tensor
     reads: Tensor

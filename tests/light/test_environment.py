@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 from math import cos, pi, radians, sin
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from torch import Tensor
 
 from ptt.io.images import write_image
 from ptt.light.environment import Environment
+from ptt.ops import latlong
 from ptt.ops.sphere import Cube, Disk, Grid, LatLong
 
 GRIDS = [Cube(4), Cube(16), LatLong(16, 32)]
@@ -186,15 +186,15 @@ def test_one_bright_texel_keeps_its_energy(grid: Grid, row: int) -> None:
 
 @pytest.mark.parametrize("row", [0, 1, 2, 3, 50, 128])
 def test_halved_maps_keep_constants_and_energy(row: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ptt.light.environment._LOOKUPS", 1 << 16)
+    monkeypatch.setattr("ptt.ops.latlong._LOOKUPS", 1 << 16)
     light = one_texel(256, row)
     grid = Cube(4)
-    assert light._may_halve(float(grid.solid_angles().max().sqrt()))
-    half = light._halved()
+    assert len(latlong.sampled(light.map, grid)[0]) < 256
+    half = Environment(latlong.halved(light.map))
     assert half.map.shape == (128, 256, 3)
     assert torch.allclose(half.integral(), light.integral(), rtol=1e-4)
     assert torch.allclose(energy(light.project(grid), grid), light.integral().double(), rtol=0.02)
-    ones = replace(light, map=torch.ones_like(light.map))._halved().map
+    ones = latlong.halved(torch.ones_like(light.map))
     assert torch.allclose(ones, torch.ones_like(ones), atol=1e-5)
 
 
@@ -471,6 +471,35 @@ def test_lights_add_up() -> None:
     both = (a + b).rotated(y=30)
     d = torch.rand(50, 3) - torch.tensor([0.3, 0.1, 0.7])
     torch.testing.assert_close(both.radiance(d), a.rotated(y=30).radiance(d) + b.rotated(y=30).radiance(d))
-    for other in (a.rotated(x=10), Environment(torch.ones(8, 16, 3))):
-        with pytest.raises(ValueError, match="add first, then turn"):
-            a + other
+
+
+def test_sums_of_lights_of_any_size_turn_and_factor() -> None:
+    """A sum is linear in every respect; as one map it is resampled, in the frame of the first: a hundredth, if smooth.
+
+    The sampler, which is made of that map, is positive wherever light comes from.
+    """
+    a = smooth(24).rotated(x=20)
+    b = Environment.area_light((1, 0, 0), 40.0, (1.0, 2.0, 4.0)).rotated(y=30, z=-70)
+    both = (a.scaled((2.0, 1.0, 0.5)) + b).rotated(x=10).scaled(3.0)
+    d = torch.rand(500, 3, generator=torch.Generator().manual_seed(1)) - 0.5
+    factor = torch.tensor([6.0, 3.0, 1.5])
+    one = a.rotated(x=10)
+    other = b.rotated(x=10)
+    torch.testing.assert_close(both.radiance(d), factor * one.radiance(d) + 3 * other.radiance(d))
+    torch.testing.assert_close(both.project(Cube(4)), factor * one.project(Cube(4)) + 3 * other.project(Cube(4)))
+    torch.testing.assert_close(both.integral(), factor * one.integral() + 3 * other.integral())
+    assert both.map.shape == b.map.shape and torch.equal(both.rotation, one.rotation)
+    resampled = Environment(both.map, both.rotation)
+    error = (resampled.radiance(d) - both.radiance(d)).abs().mean(0) / both.radiance(d).mean(0)
+    assert bool((error < 0.01).all())
+    assert bool((both.sampler().pdf(d)[both.radiance(d).sum(1) > 0] > 0).all())
+
+
+def test_factors_carry_gradients_and_stay_finite() -> None:
+    factor = torch.tensor([1.0, 2.0, 3.0], requires_grad=True)
+    light = noise()
+    light.scaled(factor).integral().sum().backward()
+    assert factor.grad is not None
+    torch.testing.assert_close(factor.grad, light.integral())
+    with pytest.raises(ValueError, match="radiance must stay within 1e"):
+        light.scaled(1e20).scaled(1e11)

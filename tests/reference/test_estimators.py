@@ -253,7 +253,7 @@ def test_how_directions_are_drawn_does_not_matter(monkeypatch: pytest.MonkeyPatc
     """The environment's sampler, or a uniform one; the BRDF's mixture, or the cosine alone: one result."""
     scene = ptt.default_scene()
     environment = Environment.area_light((0.4, 0.8, 0.3), 15.0, 20.0)
-    environment = replace(environment, map=environment.map + smooth_sky_like(environment))
+    environment = Environment(environment.map + smooth_sky_like(environment))
     rows = torch.arange(0, len(scene.vertices), 40)
     points = Points(*(x[rows] for x in reference.vertex_points(scene)))
     wo = scene.camera.toward(points.position)

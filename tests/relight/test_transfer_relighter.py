@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,7 +12,6 @@ from torch import Tensor
 
 import ptt
 from ptt.models.cache import Cache
-from ptt.ops.native import kernels
 
 SKY = ptt.Environment.sun_sky(radius=10.0)
 
@@ -141,25 +139,6 @@ def test_compiled_agrees_with_eager(small_model: ptt.TransferModel, small_scene:
     for eye in ([1.0, 2.0, 3.0], [-2.0, 1.0, 0.0]):
         a, b = (r(SKY, small_scene.materials, torch.tensor(eye)) for r in (eager, compiled))
         assert torch.allclose(a, b, rtol=1e-5, atol=1e-6)
-
-
-def test_without_a_compiler_it_stays_eager_with_one_warning(
-    clustered_model: ptt.TransferModel, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    def none() -> str:
-        raise RuntimeError("no working C++ compiler found")
-
-    monkeypatch.setattr("torch._inductor.cpp_builder.get_cpp_compiler", none)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    kernels.library.cache_clear()
-    eye = torch.tensor([1.0, 2.0, 3.0])
-    try:
-        with pytest.warns(UserWarning, match="no C\\+\\+ compiler, relighting stays eager") as seen:
-            radiance = ptt.TransferRelighter(clustered_model)(SKY, {}, eye)
-        assert len(seen) == 1
-        assert torch.equal(radiance, ptt.TransferRelighter(clustered_model, compiled=False)(SKY, {}, eye))
-    finally:
-        kernels.library.cache_clear()
 
 
 def test_a_g_buffer_is_refused(relighter: ptt.TransferRelighter, small_scene: ptt.Scene) -> None:

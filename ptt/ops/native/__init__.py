@@ -6,7 +6,8 @@ tells why.
 """
 
 from ptt.ops.native.forming import quantised
-from ptt.ops.native.kernels import available
+from ptt.ops.native.kernels import available, prepare
+from ptt.ops.native.maps import octahedral_means
 from ptt.ops.native.near import of_frames, of_texels, of_views
 from ptt.ops.native.operators import refusals
 from ptt.ops.native.relight import eigen, expand, light_eigen, lighting
@@ -29,9 +30,11 @@ __all__ = [
     "light_eigen",
     "lighting",
     "local_light",
+    "octahedral_means",
     "of_frames",
     "of_texels",
     "of_views",
+    "prepare",
     "quantised",
     "reflected",
     "refusals",

@@ -47,7 +47,8 @@ extern "C" int32_t ptt_eigen(const Eigen *g) {
 
 // expand: S[b, c, x, w] unit[b] = sum over e of  A[cluster[b], c, e, x] W[b, e, w], rounded to 16 bits, and laid out in
 // blocks of GROUP points, so that the view step reads it in one line.
-constexpr int ROWS = 6, ACROSS = 4;  // of a tile, in rows x and in vectors of w: 24 sums fill the 32 registers
+// Of a tile, in rows x and in vectors of w: 24 sums fill 32 registers, 12 fill 16.
+constexpr int ROWS = 6, ACROSS = LANES == 16 ? 4 : 2;
 
 template <int R>
 static inline void expand_tile(const float *a, const float *w, Half *s, int64_t e, int64_t x, int64_t width,

@@ -110,6 +110,7 @@ _quantised_counts = operator(
     kernel=_counts_kernel,
     conditions=_conditions,
     fake=lambda starts, *others: starts.new_empty(len(starts) - 1),
+    calls="quantised_rows",
 )
 _quantised_rows = operator(
     f"quantised_rows({SIZES}, Tensor begin, SymInt total) -> (Tensor, Tensor)",

@@ -72,12 +72,15 @@ static inline void store(Half *p, Lanes x) {
 static inline Lanes gather(const float *p, Ints index) {
 #if defined(__AVX512F__)
     return _mm512_i32gather_ps((__m512i)index, p, 4);
-#endif
+#elif defined(__AVX2__)
+    return (Lanes)_mm256_i32gather_ps(p, (__m256i)index, 4);
+#else
     int32_t i[LANES];
     float x[LANES];
     std::memcpy(i, &index, sizeof i);
     for (int l = 0; l < LANES; ++l) x[l] = p[i[l]];
     return load(x);
+#endif
 }
 
 // x[i] = p[index + i], i < 4
@@ -96,6 +99,16 @@ static inline void gather_four(const float *p, Ints index, Lanes *x) {
     const __m512d c = (__m512d)_mm512_unpacklo_ps(r[2], r[3]), d = (__m512d)_mm512_unpackhi_ps(r[2], r[3]);
     x[0] = (Lanes)_mm512_unpacklo_pd(a, c), x[1] = (Lanes)_mm512_unpackhi_pd(a, c);
     x[2] = (Lanes)_mm512_unpacklo_pd(b, d), x[3] = (Lanes)_mm512_unpackhi_pd(b, d);
+#elif defined(__AVX__)
+    int32_t i[LANES];
+    std::memcpy(i, &index, sizeof i);
+    __m256 r[4];
+    for (int l = 0; l < 4; ++l)
+        r[l] = _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(p + i[l])), _mm_loadu_ps(p + i[4 + l]), 1);
+    const __m256d a = (__m256d)_mm256_unpacklo_ps(r[0], r[1]), b = (__m256d)_mm256_unpackhi_ps(r[0], r[1]);
+    const __m256d c = (__m256d)_mm256_unpacklo_ps(r[2], r[3]), d = (__m256d)_mm256_unpackhi_ps(r[2], r[3]);
+    x[0] = (Lanes)_mm256_unpacklo_pd(a, c), x[1] = (Lanes)_mm256_unpackhi_pd(a, c);
+    x[2] = (Lanes)_mm256_unpacklo_pd(b, d), x[3] = (Lanes)_mm256_unpackhi_pd(b, d);
 #else
     for (int i = 0; i < 4; ++i) x[i] = gather(p + i, index);
 #endif
@@ -104,6 +117,8 @@ static inline void gather_four(const float *p, Ints index, Lanes *x) {
 static inline bool any(Ints mask) {
 #if defined(__AVX512F__)
     return _mm512_test_epi32_mask((__m512i)mask, (__m512i)mask);
+#elif defined(__AVX__)
+    return !_mm256_testz_si256((__m256i)mask, (__m256i)mask);
 #else
     int32_t m[LANES], all = 0;
     std::memcpy(m, &mask, sizeof m);
@@ -113,10 +128,16 @@ static inline bool any(Ints mask) {
 }
 
 static inline Lanes root(Lanes v) {
+#if defined(__AVX512F__)
+    return (Lanes)_mm512_sqrt_ps((__m512)v);
+#elif defined(__AVX__)
+    return (Lanes)_mm256_sqrt_ps((__m256)v);
+#else
     float x[LANES];
     std::memcpy(x, &v, sizeof x);
     for (int l = 0; l < LANES; ++l) x[l] = std::sqrt(x[l]);
     return load(x);
+#endif
 }
 
 static inline Ints lane() {
@@ -133,6 +154,15 @@ static inline Ints clamp(Ints i, int last) {
 static inline Lanes signed_as(Lanes x, Lanes sign) { return (Lanes)((Ints)size(x) | ((Ints)sign & INT32_MIN)); }
 static inline Ints whole(Lanes x) { return __builtin_convertvector(x, Ints); }
 static inline Lanes real(Ints i) { return __builtin_convertvector(i, Lanes); }
+
+// atan2(s, z) of s, z >= 0: pi / 4 + atan((s - z) / (s + z)), to 1e-7 (Abramowitz and Stegun 4.4.49)
+static inline Lanes angle(Lanes s, Lanes z) {
+    Lanes t = (s - z) / most(s + z, all(TINY)), u = t * t, p = all(0.0028662257f);
+    for (float a : {-0.0161657367f, 0.0429096138f, -0.0752896400f, 0.1065626393f, -0.1420889944f, 0.1999355085f,
+                    -0.3333314528f, 1.0f})
+        p = p * u + a;
+    return p * t + 0.78539816f;
+}
 
 struct Corners {  // of a bilinear lookup
     Ints cell[4];

@@ -5,7 +5,7 @@
 #include <vector>
 
 // light_eigen: U[k, c, x] = sum over l of  L[k, c, l] T[k, l, x]; T is read once, in its own type.
-constexpr int WIDE = 8;    // vectors of x at a time: their sums stay in registers
+constexpr int WIDE = LANES / 2;  // vectors of x at a time: their sums stay in registers
 constexpr int AHEAD = 32;  // rows that are fetched ahead, then those of the next tile
 
 template <class Stored>

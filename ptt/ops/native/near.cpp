@@ -16,7 +16,7 @@ static inline void put(const Corners &at, int32_t *rows, float *weights, int64_t
 static inline Lanes dot(const Lanes *a, const Lanes *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 // 0..1 of a whole turn, to 1e-4 of a radian
-static inline Lanes angle(Lanes y, Lanes x) {
+static inline Lanes turns(Lanes y, Lanes x) {
     const Lanes a = size(x), b = size(y), t = least(a, b) / most(most(a, b), all(TINY)), s = t * t;
     Lanes r = ((((0.0208351f * s - 0.0851330f) * s + 0.1801410f) * s - 0.3302995f) * s + 0.9998660f) * t;
     r = b > a ? 1.57079633f - r : r;
@@ -48,7 +48,7 @@ extern "C" int32_t ptt_near_frames(const NearFrames *g) {
             const Lanes x = dot(tangent, own[0]) - lean * dot(normal, own[0]);
             const Lanes y = dot(tangent, own[1]) - lean * dot(normal, own[1]);
             // in 0..2 twists
-            const Lanes turned = (angle(y, x) + 1.0f) * (float)twists + (between ? 0.0f : 0.5f);
+            const Lanes turned = (turns(y, x) + 1.0f) * (float)twists + (between ? 0.0f : 0.5f);
             Ints turn = whole(turned), after = turn + 1;
             share[k] = turned - real(turn);
             turn = turn >= all_around ? turn - all_around : turn, after = after >= all_around ? after - all_around : after;

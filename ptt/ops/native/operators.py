@@ -37,19 +37,22 @@ def operator(
     kernel: Callable[..., Any],
     conditions: Callable[..., Conditions],
     fake: Callable[..., Any],
+    calls: str = "",
 ) -> Callable[..., Any]:
     """Define `torch.ops.ptt.<name>`; plain, kernel, conditions and fake take what the schema says.
 
     fake: empty results of the right shapes and types, of tensors without data
+    calls: what the kernel is named in C++, if not as the operator
     """
     name = schema.split("(", 1)[0]
+    calls = calls or name
     plain = _contiguous(plain)
     DEFINED[name] = plain
     LIBRARY.define(schema, tags=(torch.Tag.pt2_compliant_tag,))
     defined = getattr(torch.ops.ptt, name).default
 
     def on_cpu(*arguments: Any) -> Any:
-        reason = refusal(conditions(*arguments))
+        reason = refusal(conditions(*arguments), calls)
         if reason is None:
             return kernel(*arguments)
         _note(name, reason)
@@ -94,12 +97,12 @@ def _contiguous(plain: Callable[..., Any]) -> Callable[..., Any]:
     return function
 
 
-def refusal(conditions: Conditions) -> str | None:
+def refusal(conditions: Conditions, kernel: str) -> str | None:
     """Why a kernel is not for its arguments: the first condition that does not hold; None where it is."""
     for holds, reason in conditions:
         if not holds:
             return reason
-    return None if available() else "there is no C++ compiler"
+    return None if available(kernel) else "the kernel cannot be built here"
 
 
 @contextmanager

@@ -262,7 +262,7 @@ def _in_groups(eigen: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _expand_fake(eigen: Tensor, weights: Tensor, cluster: Tensor) -> tuple[Tensor, Tensor]:
-    if eigen.device.type == "cpu" and refusal(_expand_conditions(eigen, weights, cluster)) is None:
+    if eigen.device.type == "cpu" and refusal(_expand_conditions(eigen, weights, cluster), "expand") is None:
         return _in_groups(eigen, weights)
     blocks = len(weights)
     return eigen.new_empty(blocks, eigen.shape[1], eigen.shape[3], weights.shape[2]), eigen.new_empty(blocks)

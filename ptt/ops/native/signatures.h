@@ -17,6 +17,16 @@ struct BFloat {
 enum Type { FLOAT32 = 0, FLOAT16 = 1, UINT8 = 2, BFLOAT16 = 3 };
 enum Status { DONE = 0, UNKNOWN = 1 };
 
+// ptt/ops/latlong.py
+
+struct OctahedralMeans {
+    const float *texels;             // (height, width, 3)
+    float *even, *out;               // scratch (height + 2, width + 2, 4), and (n * n, 3)
+    int64_t height, width, n;
+    double arc;                      // of a texel's blur along its row, radians
+    int32_t samples, threads;        // samples: along the edge of a cell
+};
+
 // ptt/ops/relight.py
 
 struct Lighting {

@@ -33,15 +33,6 @@ static inline __attribute__((always_inline)) void mix(const float *table, int co
     }
 }
 
-// atan2(s, z) of s, z >= 0: pi / 4 + atan((s - z) / (s + z)), to 1e-7 (Abramowitz and Stegun 4.4.49)
-static inline Lanes angle(Lanes s, Lanes z) {
-    Lanes t = (s - z) / most(s + z, all(TINY)), u = t * t, p = all(0.0028662257f);
-    for (float a : {-0.0161657367f, 0.0429096138f, -0.0752896400f, 0.1065626393f, -0.1420889944f, 0.1999355085f,
-                    -0.3333314528f, 1.0f})
-        p = p * u + a;
-    return p * t + 0.78539816f;
-}
-
 // ptt.ops.harmonics.evaluate, of order 4
 static inline void harmonics(Lanes x, Lanes y, Lanes z, Lanes *out) {
     Lanes zz = z * z, two = x * y, cos2 = x * x - y * y, five = 5.0f * zz - 1.0f;

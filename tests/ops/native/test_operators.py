@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import re
 import subprocess
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -19,7 +18,7 @@ from ptt.materials.shapes import BlinnPhong
 from ptt.ops import haar, native, near, rotation, slices
 from ptt.ops.geodesic import Geodesic
 from ptt.ops.haar import Truncated
-from ptt.ops.native import kernels, operators
+from ptt.ops.native import building, kernels, operators
 from ptt.ops.near import Near
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
 from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
@@ -41,6 +40,10 @@ def uniform(*shape: int) -> Tensor:
 
 def lighting() -> None:
     native.lighting(uniform(64, 4), torch.eye(3), *samples(Cube(4)), Cube(4).shape)
+
+
+def octahedral_means() -> None:
+    native.octahedral_means(uniform(4, 8, 3), 4, 3, 0.5)
 
 
 def light_eigen() -> None:
@@ -157,6 +160,7 @@ def adaptive() -> None:
 
 
 USES = (
+    octahedral_means,
     lighting,
     light_eigen,
     eigen,
@@ -306,16 +310,14 @@ def test_a_kernel_without_a_case_says_so() -> None:
 
 def test_structures_are_laid_out_as_the_compiler_lays_them_out(tmp_path: Path) -> None:
     """Sizes and the offset of each last member, printed by a program that includes signatures.h itself."""
-    from torch._inductor.cpp_builder import get_cpp_compiler
-
-    (tmp_path / "constants.h").write_text(kernels.header())
+    (tmp_path / "constants.h").write_text(building.header())
     lines = [
         f'std::printf("{name} %zu %zu\\n", sizeof({name}), offsetof({name}, threads));' for name in kernels.structures()
     ]
     code = '#include "signatures.h"\n#include <cstddef>\n#include <cstdio>\nint main() {' + "\n".join(lines) + "}"
     (tmp_path / "layout.cpp").write_text(code)
     program = str(tmp_path / "layout")
-    command = [get_cpp_compiler(), "-std=c++17", f"-I{tmp_path}", f"-I{kernels.FOLDER}"]
+    command = [*building.toolchain()[0], "-std=c++17", f"-I{tmp_path}", f"-I{building.FOLDER}"]
     subprocess.run([*command, str(tmp_path / "layout.cpp"), "-o", program], check=True)
     printed = subprocess.run([program], check=True, capture_output=True, text=True).stdout.split()
     assert printed[::3] == list(kernels.structures())
@@ -326,9 +328,15 @@ def test_structures_are_laid_out_as_the_compiler_lays_them_out(tmp_path: Path) -
 
 @pytest.mark.parametrize("processor", ["x86-64", "x86-64-v3", "native"])
 def test_sources_have_no_warnings(processor: str, tmp_path: Path) -> None:
-    from torch._inductor.cpp_builder import get_cpp_compiler
-
-    (tmp_path / "constants.h").write_text(kernels.header())
-    flags = [re.sub("-march=native", f"-march={processor}", flag) for flag in kernels.FLAGS.split()]
-    command = [get_cpp_compiler(), *flags, "-Wall", "-Wextra", "-Werror", "-fsyntax-only", f"-I{tmp_path}"]
-    subprocess.run([*command, *map(str, kernels.SOURCES)], check=True)
+    (tmp_path / "constants.h").write_text(building.header())
+    command = [
+        *building.toolchain()[0],
+        *building.FLAGS,
+        f"-march={processor}",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-fsyntax-only",
+        f"-I{tmp_path}",
+    ]
+    subprocess.run([*command, *map(str, building.SOURCES.values())], check=True)

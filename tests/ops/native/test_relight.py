@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import threading
-import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,7 +12,6 @@ from torch import Tensor
 from ptt.light.prefiltered import samples
 from ptt.ops import native, relight
 from ptt.ops import view as plain
-from ptt.ops.native import kernels
 from ptt.ops.native.relight import TRANSFER
 from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
 from ptt.ops.sphere import Cube, turn
@@ -264,46 +258,3 @@ def test_gradients_go_the_plain_way() -> None:
     light = native.lighting(leaf(torch.ones(64, 4)), torch.eye(3), *samples(Cube(4)), Cube(4).shape)
     (spread.values.sum() + lit.sum() + light.sum()).backward()
     assert all(t.grad is not None and t.grad.isfinite().all() for t in leaves)
-
-
-# Building
-
-
-@pytest.mark.parametrize("failure", ["missing", "broken"])
-def test_no_compiler_is_one_warning(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, failure: str) -> None:
-    def missing() -> str:
-        raise RuntimeError("none here")
-
-    compiler = missing if failure == "missing" else lambda: "false"
-    monkeypatch.setattr("torch._inductor.cpp_builder.get_cpp_compiler", compiler)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    kernels.library.cache_clear()
-    x = inputs()
-    try:
-        with pytest.warns(UserWarning, match="no C\\+\\+ compiler, relighting stays eager: .+"):
-            first = native.view(*x)
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            assert torch.equal(native.view(*x), first) and torch.equal(plain.view(*x), first)
-            assert not native.available()
-    finally:
-        kernels.library.cache_clear()
-
-
-def test_builds_at_the_same_time_are_safe(built: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    barrier = threading.Barrier(2)
-    made = []
-
-    def run(*command: str) -> str:
-        if "-shared" in command:
-            barrier.wait()  # both have found no library
-        return subprocess.run(command, check=True, capture_output=True, text=True).stdout
-
-    monkeypatch.setattr(kernels, "_run", run)
-    threads = [threading.Thread(target=lambda: made.append(kernels._build(tmp_path))) for _ in range(2)]
-    for t in threads:
-        t.start()
-    for t in threads:
-        t.join()
-    assert len(made) == 2 and made[0] == made[1] and os.listdir(tmp_path) == [made[0].name]
-    assert kernels._build(tmp_path) == made[0]  # which finds it: the barrier would hold a second build for ever

@@ -1,0 +1,136 @@
+"""What a stranger's machine gives: first use, a new light, both instruction sets, busy neighbours; rows `machine`.
+
+    PTT_DATA=... python -m bench.machine                          # about half an hour on two cores
+    PTT_DATA=... python -m bench.machine --only lights            # or first, engine, compression, neighbours
+
+Parts run in processes of their own, since much happens once a process; for AVX2 with ATEN_CPU_CAPABILITY,
+ONEDNN_MAX_CPU_ISA and PTT_MARCH set, which any x86 machine takes. The engine is traced once, and kept where the scripts
+keep their models.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+
+from bench.table import ROOT, Table, setting
+
+AVX2 = {"ATEN_CPU_CAPABILITY": "avx2", "ONEDNN_MAX_CPU_ISA": "AVX2", "PTT_MARCH": "x86-64-v3"}
+SETS: dict[str, dict[str, str]] = {"AVX2": AVX2, "own": {}}
+RELIGHTERS = {"TransferRelighter": 15, "EnvMapRelighter": 25, "TripleProductRelighter": 25}
+RELIGHT = [sys.executable, str(ROOT / "scripts" / "relight.py")]
+BUSY = "x = 1\nwhile True: x = x * 3 % 1000003"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="+", choices=PARTS, help="parts whose rows are made anew")
+    parts = parser.parse_args().only or list(PARTS)
+    if "PTT_DATA" not in os.environ:
+        parser.error("set PTT_DATA to the folder with meshes and hdri")
+    for name in parts:
+        replace_rows(name, PARTS[name])
+
+
+def replace_rows(name: str, part: Callable[[Table], None]) -> None:
+    """Write the rows of one part; those of the others stay as they are in the file by now."""
+    table = Table("machine")
+    old = list(csv.DictReader(table.path.open())) if table.path.exists() else []
+    part(table)
+    new = table.rows
+    kept = {other: [row for row in old if row["what"].startswith(f"{other}, ")] for other in PARTS}
+    table.rows = [row for rows in (kept | {name: new}).values() for row in rows]
+    table.write()
+
+
+def measured(part: str, **variables: str) -> list[dict[str, str]]:
+    """What `bench.machine_parts` prints of a part, a row a line, in a process with these variables."""
+    command = [sys.executable, "-m", "bench.machine_parts", part]
+    done = subprocess.run(
+        command, cwd=ROOT, env=os.environ | variables, stdout=subprocess.PIPE, text=True, check=True
+    ).stdout
+    return [json.loads(line) for line in done.splitlines() if line.startswith("{")]
+
+
+def take(table: Table, rows: list[dict[str, str]]) -> None:
+    """Add rows of another process."""
+    for row in rows:
+        table.row(**row)  # type: ignore[arg-type]
+
+
+def first(table: Table) -> None:
+    """From an empty cache to kernels that are built, and `import ptt` with them."""
+    for instructions, variables in SETS.items():
+        for relighter, goal in RELIGHTERS.items():
+            with tempfile.TemporaryDirectory() as empty:
+                code = f"import ptt; from ptt.ops import native; native.prepare(*ptt.{relighter}.sources_in_c)"
+                seconds = timed([sys.executable, "-c", code], variables | {"XDG_CACHE_HOME": empty})
+                again = timed([sys.executable, "-c", code], variables | {"XDG_CACHE_HOME": empty})
+            what = f"first, {relighter}, {instructions}"
+            table.row(f"{what}, empty cache", seconds, "s", f"import ptt and kernels; {setting()}", f"<= {goal}")
+            table.row(f"{what}, built", again, "s", f"import ptt and kernels that are kept; {setting()}")
+
+
+def lights(table: Table) -> None:
+    """Another map, and lights made of those that are ready."""
+    for variables in SETS.values():
+        take(table, measured("lights", **variables))
+
+
+def engine(table: Table) -> None:
+    """The engine's rates by every form, beside what reading its bytes allows."""
+    for variables in SETS.values():
+        take(table, measured("engine", **variables))
+
+
+def compression(table: Table) -> None:
+    """From a traced scene to its model."""
+    for variables in SETS.values():
+        take(table, measured("compression", **variables))
+
+
+def neighbours(table: Table) -> None:
+    """README's first command alone, and beside two processes that compute without end."""
+    for instructions, variables in SETS.items():
+        alone = main_job(variables)
+        busy = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(2)]
+        try:
+            beside = main_job(variables)
+        finally:
+            for process in busy:
+                process.kill()
+        how = f"scripts/relight.py, default scene, kernels and fits made in it; {setting()}"
+        table.row(f"neighbours, {instructions}, the main job alone", alone, "s", how, "<= 90")
+        table.row(f"neighbours, {instructions}, beside two busy processes", beside, "s", how)
+        table.row(f"neighbours, {instructions}, their ratio", beside / alone, "", how, "<= 3.5")
+
+
+def main_job(variables: dict[str, str]) -> float:
+    """Seconds of README's first command, from an empty cache."""
+    with tempfile.TemporaryDirectory() as empty:
+        return timed([*RELIGHT, "--out", f"{empty}/out"], variables | {"XDG_CACHE_HOME": empty})
+
+
+def timed(command: list[str], variables: dict[str, str]) -> float:
+    start = time.perf_counter()
+    subprocess.run(command, env=os.environ | variables, cwd=ROOT, check=True, capture_output=True)
+    return time.perf_counter() - start
+
+
+PARTS: dict[str, Callable[[Table], None]] = {
+    "first": first,
+    "lights": lights,
+    "engine": engine,
+    "compression": compression,
+    "neighbours": neighbours,
+}
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,152 @@
+"""The parts of bench/machine.py that run in a process of their own: rows as JSON, one a line."""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+
+import torch
+
+import ptt
+from bench.cases import CASES, PAPER
+from bench.forms import FORMS, made
+from bench.frames import balls, bytes_read, dressed, steps
+from bench.table import ROOT, read_bandwidth, setting
+from ptt.cli import kept_model
+
+NUMBERS = count(1)
+SHARES = {"view": (350, 0.4), "view and BRDF": (150, 0.25), "view, BRDF and light": (80, 0.4)}
+"""Goals: frames a second with AVX2, and the share of what reading the bytes allows; one of them."""
+
+
+def row(what: str, value: float, unit: str, how: str, goal: str = "", **others: str) -> None:
+    """Print a row."""
+    print(json.dumps({"what": what, "value": value, "unit": unit, "how": f"{how}; {setting()}", "goal": goal} | others))
+
+
+def instructions() -> str:
+    """AVX2, or all that the processor has."""
+    return "AVX2" if os.environ.get("PTT_MARCH") else torch.backends.cpu.get_cpu_capability()
+
+
+def median(function: Callable[[], object], repeats: int) -> float:
+    """Median seconds of a call, after two that are not counted."""
+    times = []
+    for _ in range(2 + repeats):
+        start = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times[2:])
+
+
+def small() -> tuple[ptt.Scene, ptt.TransferRelighter]:
+    """A small scene with lobes and two bounces."""
+    scene = balls(2, 1, ptt.blinn_phong(0.3, 0.4, 24.0))
+    raw = ptt.precompute(scene, 2, resolution=64, rays=64)
+    space = ptt.BRDFSpace.blinn_phong()
+    brdf = ptt.TensorBRDF.fit(space, ranks=(4, 16, 16), separated=4)
+    return scene, ptt.TransferRelighter(ptt.compress(raw, 96, brdf, ptt.BRDFBasis.fit(space)))
+
+
+def lights() -> None:
+    """Seconds from a light that was never seen to a picture; the second of its size, then of its factors and sums."""
+    scene, relighter = small()
+    generator = torch.Generator().manual_seed(0)
+
+    def seconds(light: ptt.Environment) -> float:
+        start = time.perf_counter()
+        relighter(light, scene.materials, scene.camera)
+        return time.perf_counter() - start
+
+    what = f"lights, {instructions()}"
+    how = f"to a picture of {len(scene.vertices)} vertices with four lobes"
+    for height, goal in ((512, 0.5), (2048, 2.0)):
+        maps = [ptt.Environment(torch.rand(height, 2 * height, 3, generator=generator)) for _ in range(4)]
+        size = f"{2 * height} x {height}"
+        taken = [seconds(light) for light in maps]
+        if height == 512:
+            row(f"{what}, the first map of a process, {size}", taken[0], "s", how)
+        row(f"{what}, a new map, {size}", statistics.median(taken[1:]), "s", f"{how}, median of 3", f"<= {goal}")
+    a, b, *_ = maps
+    changes: dict[str, Callable[[], ptt.Environment]] = {
+        "a turn": lambda: a.rotated(y=next(NUMBERS)),
+        "a factor": lambda: a.scaled(1 + 0.01 * next(NUMBERS)),
+        "a tint": lambda: a.scaled((1.0, 0.9, 0.001 * next(NUMBERS))),
+        "a sum": lambda: a + b.scaled(0.01 * next(NUMBERS)),
+        "a sum, turned apart": lambda: a + b.rotated(y=next(NUMBERS)),
+    }
+    for name, change in changes.items():
+        taken = median(lambda change=change: relighter(change(), scene.materials, scene.camera), 20)  # type: ignore[misc]
+        row(f"{what}, {name} of lights that are ready", 1e3 * taken, "ms", how)
+
+
+def traced_engine() -> tuple[ptt.Scene, ptt.TransferModel]:
+    """The engine by the paper's settings."""
+    scene = ptt.load_scene(ROOT / "scripts" / "configs" / "engine.toml")
+    case = CASES["engine"]
+
+    def trace() -> ptt.TransferModel:
+        raw = ptt.precompute(scene, 2, progress=True)
+        space = case.space()
+        brdf = ptt.TensorBRDF.fit(space, ranks=case.ranks, separated=case.lobes)
+        return ptt.compress(raw, 96, brdf, ptt.BRDFBasis.fit(space, case.functions), PAPER, progress=True)
+
+    return scene, kept_model(scene, {"case": "engine", "clusters": repr(PAPER)}, trace)
+
+
+def engine() -> None:
+    """Frames a second of every form, and the share of what reading the bytes at the measured rate allows."""
+    scene, model = traced_engine()
+    light = ptt.Environment.load(Path(os.environ["PTT_DATA"]) / "hdri" / "uffizi.hdr")
+    material = CASES["engine"].materials()["moderate"]
+    what = f"engine, {instructions()}"
+    bandwidth = read_bandwidth()
+    row(f"{what}, read bandwidth", bandwidth / 1e9, "GB/s", "sum of 400 MB")
+    rates: dict[str, dict[str, float]] = {}
+    for form, (kernels, fused) in FORMS.items():
+        relighter = ptt.TransferRelighter(model, kernels)
+        read = bytes_read(model, relighter, light, dressed(scene, material))
+        rates[form] = {}
+        for step, frame in steps(made(relighter, fused), scene, light, material).items():
+            seconds = median(frame, 40 if kernels else 8)
+            rates[form][step] = 1 / seconds
+            limit = bandwidth / read[step]
+            aside = f"{limit:.0f} frames/s to read {read[step] / 1e6:.3g} MB"
+            how = f"{len(scene.vertices)} vertices, paper's settings, lobes, {material.shape}"
+            row(f"{what}, {form}, {step}", 1 / seconds, "frames/s", how, limit=aside)
+            if form == "kernels":
+                frames, share = SHARES[step]
+                how = f"or {frames} frames/s, of which it has {1 / seconds / frames:.2f}"
+                row(f"{what}, {form}, {step}, share of the limit", 1 / seconds / limit, "", how, f">= {share}")
+    for step, rate in rates["kernels"].items():
+        row(f"{what}, kernels over eager, {step}", rate / rates["eager"][step], "", "same run", "<= 10")
+
+
+def compression() -> None:
+    """Milliseconds a vertex from rays to a model."""
+    scene = ptt.default_scene()
+    space = ptt.BRDFSpace.blinn_phong()
+    brdf = ptt.TensorBRDF.fit(space, ranks=(4, 16, 16), separated=3)
+    basis = ptt.BRDFBasis.fit(space)
+    v = len(scene.vertices)
+    start = time.perf_counter()
+    raw = ptt.precompute(scene, 2)
+    traced = time.perf_counter()
+    ptt.compress(raw, 96, brdf, basis)
+    done = time.perf_counter()
+    what = f"compression, {instructions()}"
+    how = f"default scene, {v} vertices, two bounces, 512 rays, default settings, fits not counted"
+    row(f"{what}, rays", 1e3 * (traced - start) / v, "ms a vertex", how)
+    row(f"{what}, compression", 1e3 * (done - traced) / v, "ms a vertex", how, "<= 12")
+
+
+PARTS: dict[str, Callable[[], None]] = {"lights": lights, "engine": engine, "compression": compression}
+
+if __name__ == "__main__":
+    PARTS[sys.argv[1]]()
