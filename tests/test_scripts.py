@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 import ptt
 from ptt.cli import chosen_space
 from ptt.io.images import read_image
+from ptt.ops import keeping
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 SCENE = """
@@ -86,6 +88,27 @@ def test_relight_writes_pictures_and_errors(run: Path) -> None:
     report = json.loads((run / "pictures" / "relight.json").read_text())
     assert report["config"]["exponent"] == 16.0
     assert all(report["states"][name]["relative_rmse"] < 0.3 for name in names)
+
+
+def test_relight_traces_a_scene_once(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other flags of the picture find the model again; another ball does not."""
+    own = run / "cache" / "ptt"
+    own.mkdir(parents=True)
+    for library in keeping.folder().glob("kernels-*"):
+        shutil.copy(library, own)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(own.parent))
+    scene = run / "scene.toml"
+    flags = ("--scene", scene, "--environment", "sky", "--rays", 32, "--coefficients", 16, "--samples", 0)
+    size = ("--width", 32, "--height", 24)
+    first = script("relight", *flags, *size, "--out", run / "first")
+    assert "the model is kept in" in first and "rays:" in first
+    again = script("relight", *flags, *size, "--exponent", 40, "--out", run / "again")
+    assert "found the model" in again and "rays:" not in again
+    same, other = (read_image(run / folder / "before.exr") for folder in ("first", "again"))
+    assert (same - other).abs().max() < 1e-3 * same.max()
+    (run / "moved.toml").write_text(SCENE.replace("radius = 0.4", "radius = 0.3"))
+    moved = script("relight", *flags, *size, "--scene", run / "moved.toml", "--out", run / "first")
+    assert "the model is kept in" in moved
 
 
 def test_evaluate_reports_each_region(run: Path) -> None:

@@ -53,7 +53,7 @@ def basis(data: Tensor, eigenvectors: int) -> Tensor:
     n, r = x.shape
     if n <= r:
         size, vectors = torch.linalg.eigh(x @ x.T)
-        rows = (vectors.T @ x).flip(0)[:eigenvectors]
+        rows = vectors.flip(1)[:, :eigenvectors].T @ x
     else:
         size, vectors = torch.linalg.eigh(x.T @ x)
         rows = vectors.T.flip(0)[:eigenvectors]

@@ -25,7 +25,7 @@ from ptt.transfer.bounces import CUTS, Bounces
 from ptt.transfer.raw import RawTransfer
 
 T0_BYTES_AT_ONCE = 5e6  # what stays in the cache is transformed three times as fast
-POINTS_AT_ONCE = 32  # whose T1, or T2, is worked out together: more take more memory
+POINTS_AT_ONCE = 4  # whose T1, or T2, is worked out together: what they see stays in the cache
 ALWAYS = 1e9  # weight of the faces' means, so large that they are always kept
 AXES = 128  # at most, of the lighting of T1: more take more memory and leave less error
 FEWEST_AXES = 32  # with fewer the memory allowed is refused as too little

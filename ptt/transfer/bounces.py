@@ -159,7 +159,9 @@ class Bounces:
                 g, light = self._specular(reflector, at, wo)
                 diffuse = reflector.shade(self.raw.receivers.colours[at])[..., None]
                 g = torch.cat((diffuse, g), 2) * hits.weight.flatten()[:, None, None]
-                sent = (g @ torch.cat((self.t0[at], light), 1)).reshape(*hits.at.shape, -1)  # shape: (b, n, p * l)
+                to_factors, to_lobes = g.tensor_split((self.t0.shape[1],), 2)
+                sent = torch.baddbmm(to_lobes @ light, to_factors, self.t0.index_select(0, at))
+                sent = sent.reshape(*hits.at.shape, -1)  # shape: (b, n, p * l)
                 onto = self.projector.T[hits.ray].transpose(1, 2)
                 out[:, reflector.slots] = (onto @ sent).unflatten(2, (len(reflector.slots), -1)).transpose(1, 2)
         return out
@@ -168,7 +170,9 @@ class Bounces:
         """Responses (m, p, i + k) to incident factors and lobes, and the light (m, k, l) about the lobes' axes."""
         axes = lobes.lean(self.brdf.axes, wo)  # shape: (m, k, 3)
         each = torch.arange(len(self.brdf.angles))
-        light = self.light_about[AXIS_CELLS.cell(axes @ self.raw.receivers.frames[at]), each]
+        cell = AXIS_CELLS.cell(axes @ self.raw.receivers.frames[at])
+        light = self.light_about.flatten(0, 1).index_select(0, (cell * len(each) + each).flatten())
+        light = light.unflatten(0, cell.shape)
         cell = octahedral.HemiOctahedral(CUTS).cell(axes)
         through = self.cuts[at[:, None], cell, each].float() / 255
         of_lobes = reflector.reflectances(wo) * through[:, None]
@@ -186,7 +190,7 @@ class Bounces:
                 weight = hits.weight * self.projector[0][hits.ray]
                 d = self._to_harmonics(reflector, at, wo) * weight.flatten()[:, None, None]  # shape: (m, p, s)
                 onto = d.reshape(*hits.at.shape, -1, s).transpose(1, 2).flatten(2)  # shape: (b, p, n * s)
-                sent = t1[at].reshape(len(rows), -1, q * l).to(onto)
+                sent = t1.flatten(1).index_select(0, at).reshape(len(rows), -1, q * l).to(onto)
                 out[:, reflector.slots] = (onto @ sent).unflatten(2, (q, l))
         return out
 

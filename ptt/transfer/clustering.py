@@ -27,7 +27,7 @@ from ptt.ops.sphere import Cube
 from ptt.transfer.assembly import ALWAYS, Transfer, natural
 
 SKETCH_DIRECTIONS = 256  # common directions of the features: more take longer and lose less of them
-SKETCHED_POINTS = 2048  # points that decide those directions
+SKETCHED_POINTS = 1024  # points that decide those directions: in a trial 512 and 2048 left the same error
 TRIED_EIGENVECTORS = (8, 16, 24, 32, 48, 64)  # numbers of eigenvectors that are tried for a given error
 DEPENDENT = 1e-6  # an eigenvector whose part at right angles to those before it is relatively smaller is left out
 
@@ -202,9 +202,9 @@ class _RegionTransfer:
         """T1 (v, q, s, l') and T2 (v, pairs, l'') of some points (v,)."""
         indirect = self.transfer.indirect
         rows = rows + self.first
-        t1 = indirect.one[rows][:, self.slots]
-        t2 = indirect.two[rows][:, self.pairs[:, 0], self.pairs[:, 1]]
-        return t1.float() / indirect.scale, t2.float() / indirect.scale
+        t1 = indirect.one.index_select(0, rows).float().index_select(1, self.slots)
+        t2 = indirect.two.index_select(0, rows).float()[:, self.pairs[:, 0], self.pairs[:, 1]]
+        return t1 / indirect.scale, t2 / indirect.scale
 
     def _eigen_points(self, rows: Tensor, combination: Tensor, clusters: Clusters) -> tuple[Tensor, ...]:
         """Columns, T0, lighting, T1 and T2 of a cluster's eigen-points, which are combinations (v, e) of its points."""
