@@ -22,6 +22,7 @@ from torch import Tensor
 
 from ptt.ops import harmonics
 from ptt.ops.constants import TINY
+from ptt.ops.octahedral import mix
 
 ANGLES = (0.0, 7.0, 14.0, 21.0)  # degrees that three standard deviations cover
 MIRROR = 3.5  # degrees that the 0-degree lobe covers
@@ -51,7 +52,9 @@ def lean(axes: Tensor, wo: Tensor) -> Tensor:
     A direction below the horizon has the axes of its mirror image above.
     """
     index, weights = corners(wo, 1, axes.shape[2])
-    along, up = (axes.to(wo)[:, :, index] * weights).sum(-1).movedim(1, -1)  # shape: (..., k)
+    table = axes.to(wo).flatten(0, 1).T.contiguous()  # shape: (t, 2 k)
+    mixed = mix(table, index.reshape(-1, 2), weights.reshape(-1, 2)).unflatten(0, wo.shape[:-1])
+    along, up = mixed.chunk(2, -1)  # shape: (..., k)
     return torch.stack((-along * wo[..., :1], -along * wo[..., 1:2], up), -1)
 
 

@@ -54,20 +54,30 @@ def hemi_octahedral(d: Tensor) -> Tensor:
     return torch.stack((x + y, x - y), dim=-1)
 
 
-def corners(ab: Tensor, n: int, wrap: bool) -> tuple[Tensor, Tensor]:
+def corners(ab: Tensor, n: int, wrap: bool, first: Tensor | None = None) -> tuple[Tensor, Tensor]:
     """Cells (..., 4) int64 and weights (..., 4) of a bilinear lookup at ab (..., 2) in a flat table (n * n, ...).
 
     wrap: beyond an edge of the square lie the edge's cells, mirrored about its middle, as an `Octahedral` map goes on;
         without, they are repeated, as fits a `HemiOctahedral` map
+    first (...): of each table's cells, where several lie one behind the other; without `wrap`
     """
-    position = (ab + 1) * (n / 2) - 0.5
-    first = position.floor()
-    a, b = (position - first).unbind(-1)
-    column, row = first.long().unbind(-1)
-    columns = torch.stack((column, column + 1, column, column + 1), dim=-1)
-    rows = torch.stack((row, row, row + 1, row + 1), dim=-1)
-    index = _index(rows, columns, n, wrap)
-    return index, torch.stack(((1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b), dim=-1)
+    x, y = ((ab + 1) * (n / 2) - 0.5).unbind(-1)
+    if wrap:
+        column, row = x.floor(), y.floor()
+    else:
+        x, y = x.clamp(0, n - 1), y.clamp(0, n - 1)
+        column, row = (z.floor().clamp(max=max(n - 2, 0)) for z in (x, y))
+    a = x - column
+    b = y - row
+    weights = torch.stack(((1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b), dim=-1)
+    across = min(1, n - 1)
+    if not wrap:
+        around = torch.tensor([0, across, across * n, across * (n + 1)], device=ab.device)
+        cell = (row * n + column).long()
+        return (cell if first is None else cell + first)[..., None] + around, weights
+    columns = torch.stack((column, column + 1, column, column + 1), dim=-1).long()
+    rows = torch.stack((row, row, row + 1, row + 1), dim=-1).long()
+    return _index(rows, columns, n, wrap), weights
 
 
 def bordered(table: Tensor) -> Tensor:
@@ -182,8 +192,9 @@ class HemiOctahedral(_OctahedralGrid):
 
 def _on_octahedron(d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Coordinates x, y, z (...) of directions (..., 3), projected to |x| + |y| + |z| = 1."""
-    x, y, z = (d / d.abs().sum(-1, keepdim=True)).unbind(-1)
-    return x, y, z
+    x, y, z = d.unbind(-1)
+    scale = 1 / (x.abs() + y.abs() + z.abs())
+    return x * scale, y * scale, z * scale
 
 
 def _folded(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:

@@ -414,5 +414,4 @@ def toward(eye: Tensor, positions: Tensor, axis: int = -1) -> Tensor:
         shape = [1] * positions.ndim
         shape[axis] = 3
         eye = eye.reshape(shape) - positions
-    directions: Tensor = eye / eye.norm(dim=axis, keepdim=True).clamp(min=TINY)
-    return directions
+    return eye / eye.square().sum(axis, keepdim=True).clamp(min=TINY).sqrt()

@@ -93,18 +93,19 @@ def _radiance(
     if points.colour is not None:
         diffuse = diffuse * _blocks(points.colour, values)
     unit = sent.unit[:, None, None]
-    out = unit * (diffuse + (_blocks(factors.T, values)[:, None] * values[:, :, 1:o]).sum(2))
+    out = unit * (diffuse + _products(_blocks(factors.T, values), values[:, :, 1:o]))
     if gloss is not None:
         tilts = len(gloss.axes)
         rho = mix(gloss.rho, *lobes.corners(wo.T, len(gloss.rho) // tilts, tilts))  # shape: (n, k)
         axes = lobes.lean(gloss.axes.T.unflatten(0, (2, -1)), wo.T)  # shape: (n, k, 3)
         seen = rho * _through(points.cuts, axes, gloss.which)
-        light = light_about(gloss.maps, torch.einsum("nkr,rcn->nkc", axes, points.frame) @ gloss.turn)
-        lit = _blocks((seen[..., None] * light).sum(1).T, values)
+        to_light = torch.einsum("rcn,cd->nrd", points.frame, gloss.turn)  # from local axes to those of the map
+        light = light_about(gloss.maps, axes @ to_light)
+        lit = _blocks(_sums(seen, light).T, values)
         if values.shape[2] > o:
-            axis = torch.nn.functional.normalize((rho[..., None] * axes).sum(1), dim=1)
+            axis = torch.nn.functional.normalize(_sums(rho, axes), dim=1)
             response = (rho @ gloss.blurs) * harmonics.evaluate(axis, round(gloss.blurs.shape[1] ** 0.5))
-            lit = lit + unit * (_blocks(response.T, values)[:, None] * values[:, :, o:]).sum(2)
+            lit = lit + unit * _products(_blocks(response.T, values), values[:, :, o:])
         out = out + lit * gloss.specular[:, None]
     return out.transpose(1, 2).flatten(0, 1).index_select(0, points.place)
 
@@ -120,17 +121,34 @@ def light_about(maps: Tensor, axes: Tensor) -> Tensor:
     """E_k (n, k, 3) about axes (n, k, 3) on maps (k, cells, 4)."""
     k, cells, _ = maps.shape
     n = math.isqrt(cells)
-    index, weights = corners(octahedral(axes) * ((n - 2) / n), n, wrap=False)  # shape: (n, k, 4)
-    rows = index + cells * torch.arange(k, device=index.device)[:, None]
-    return mix(maps.flatten(0, 1), rows.flatten(0, 1), weights.flatten(0, 1))[:, :3].reshape(axes.shape)
+    first = cells * torch.arange(k, device=axes.device)
+    index, weights = corners(octahedral(axes) * ((n - 2) / n), n, wrap=False, first=first)  # shape: (n, k, 4)
+    return mix(maps.flatten(0, 1), index.flatten(0, 1), weights.flatten(0, 1))[:, :3].reshape(axes.shape)
 
 
 def _through(cuts: Tensor, axes: Tensor, which: Tensor) -> Tensor:
     """Fractional visibility (n, k) about local axes (n, k, 3)."""
-    index, weights = corners(hemi_octahedral(axes), _side(cuts.T), wrap=False)  # shape: (n, k, 4)
-    words = cuts.gather(1, tiles(_side(cuts.T)).to(index.device)[index].flatten(1)).view_as(index)
-    through: Tensor = (((words >> (8 * which[:, None])) & 255).to(weights) * weights).sum(2).div(BYTE)
+    n = _side(cuts.T)
+    first = n * n * torch.arange(len(which), device=which.device)
+    index, weights = corners(hemi_octahedral(axes), n, wrap=False, first=first)  # shape: (n, k, 4)
+    bytes_ = 4 * tiles(n).to(which) + which[:, None]  # of every lobe's cells
+    seen = cuts.view(torch.uint8).gather(1, bytes_.flatten()[index].flatten(1)).view_as(index)
+    through: Tensor = torch.linalg.vecdot(seen.to(weights), weights).div(BYTE)
     return through
+
+
+def _sums(weights: Tensor, values: Tensor) -> Tensor:
+    """The sum over k (n, x) of weights (n, k) times values (n, k, x)."""
+    return _products(weights[:, :, None], values[:, None])[:, 0]
+
+
+def _products(factors: Tensor, values: Tensor) -> Tensor:
+    """The sum over x (b, c, w) of factors (b, x, w) times values (b, c, x, w), one x after the other: no product of all
+    is ever in memory."""
+    total = factors[:, None, 0] * values[:, :, 0]
+    for x in range(1, factors.shape[1]):
+        total = torch.addcmul(total, factors[:, None, x], values[:, :, x])
+    return total
 
 
 def _blocks(values: Tensor, like: Tensor) -> Tensor:
