@@ -26,6 +26,7 @@ from torch import Tensor
 from ptt.io.images import read_image
 from ptt.light.layouts import Layout, to_latlong
 from ptt.ops import latlong
+from ptt.ops.compiling import in_python
 from ptt.ops.sphere import Grid, LatLong, turn
 
 Colour = float | Sequence[float] | Tensor
@@ -37,6 +38,7 @@ _LUMINANCE = 0.2126, 0.7152, 0.0722  # of linear sRGB (IEC 61966-2-1)
 _ONE = torch.ones(3)
 
 
+@in_python
 class Layer(NamedTuple):
     """A map that a light is the sum of.
 

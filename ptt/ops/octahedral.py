@@ -62,22 +62,19 @@ def corners(ab: Tensor, n: int, wrap: bool, first: Tensor | None = None) -> tupl
     first (...): of each table's cells, where several lie one behind the other; without `wrap`
     """
     x, y = ((ab + 1) * (n / 2) - 0.5).unbind(-1)
-    if wrap:
-        column, row = x.floor(), y.floor()
-    else:
-        x, y = x.clamp(0, n - 1), y.clamp(0, n - 1)
-        column, row = (z.floor().clamp(max=max(n - 2, 0)) for z in (x, y))
+    column, row = x.floor(), y.floor()
     a = x - column
     b = y - row
     weights = torch.stack(((1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b), dim=-1)
-    across = min(1, n - 1)
-    if not wrap:
-        around = torch.tensor([0, across, across * n, across * (n + 1)], device=ab.device)
-        cell = (row * n + column).long()
-        return (cell if first is None else cell + first)[..., None] + around, weights
-    columns = torch.stack((column, column + 1, column, column + 1), dim=-1).long()
-    rows = torch.stack((row, row, row + 1, row + 1), dim=-1).long()
-    return _index(rows, columns, n, wrap), weights
+    if wrap:
+        columns = torch.stack((column, column + 1, column, column + 1), dim=-1).long()
+        rows = torch.stack((row, row, row + 1, row + 1), dim=-1).long()
+        return _index(rows, columns, n, wrap), weights
+    left, right = (each.clamp(0, n - 1).long() for each in (column, column + 1))
+    above, below = (n * each.clamp(0, n - 1).long() for each in (row, row + 1))
+    if first is not None:
+        above, below = above + first, below + first
+    return torch.stack((above + left, above + right, below + left, below + right), dim=-1), weights
 
 
 def bordered(table: Tensor) -> Tensor:

@@ -145,6 +145,8 @@ def _sums(weights: Tensor, values: Tensor) -> Tensor:
 def _products(factors: Tensor, values: Tensor) -> Tensor:
     """The sum over x (b, c, w) of factors (b, x, w) times values (b, c, x, w), one x after the other: no product of all
     is ever in memory."""
+    if not factors.shape[1]:
+        return values.sum(2)
     total = factors[:, None, 0] * values[:, :, 0]
     for x in range(1, factors.shape[1]):
         total = torch.addcmul(total, factors[:, None, x], values[:, :, x])
