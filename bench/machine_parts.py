@@ -82,8 +82,8 @@ def lights() -> None:
         "a sum, turned apart": lambda: a + b.rotated(y=next(NUMBERS)),
     }
     for name, change in changes.items():
-        taken = median(lambda change=change: relighter(change(), scene.materials, scene.camera), 20)  # type: ignore[misc]
-        row(f"{what}, {name} of lights that are ready", 1e3 * taken, "ms", how)
+        ready = median(lambda change=change: relighter(change(), scene.materials, scene.camera), 20)  # type: ignore[misc]
+        row(f"{what}, {name} of lights that are ready", 1e3 * ready, "ms", how)
 
 
 def traced_engine() -> tuple[ptt.Scene, ptt.TransferModel]:

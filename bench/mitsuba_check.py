@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +68,7 @@ def mitsuba_light(environment: Environment) -> dict[str, Any]:
     phi = (torch.arange(width, dtype=torch.float64) + 0.5) * (2 * math.pi / width)
     y = theta.cos().expand(-1, width)
     directions = torch.stack([theta.sin() * phi.sin(), y, -theta.sin() * phi.cos()], -1)
-    texels = replace(environment, rotation=torch.eye(3, dtype=torch.float64)).radiance(directions)
+    texels = environment.radiance(directions @ environment.rotation.T)
     turn = torch.eye(4, dtype=torch.float64)
     turn[:3, :3] = environment.rotation
     to_world = mi.ScalarTransform4f(turn.numpy())

@@ -7,6 +7,9 @@ radiance = relighter(ptt.Environment.load("uffizi.hdr"), scene.materials, scene.
 ptt.render(scene, scene.camera, radiance).save("watch.png")
 """
 
+from ptt import threads as threads  # first: it is read when torch is imported
+
+# isort: split
 from ptt import reference
 from ptt.imaging.atlas import Atlas
 from ptt.imaging.bumps import BumpMap

@@ -18,10 +18,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+import ptt  # before torch: it says how threads wait (ptt.threads)
+
+# isort: split
 import torch
 from torch import Tensor
 
-import ptt
 from ptt.cli import chosen_light, chosen_scene, chosen_space, configure, kept_model, run
 
 

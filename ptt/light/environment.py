@@ -120,6 +120,13 @@ class Environment:
         """What takes directions of `map` to world directions: that of the first layer."""
         return self.layers[0].rotation
 
+    def factored(self) -> tuple[Environment, Tensor | None]:
+        """A light and the factor (3,) that it must be multiplied by; None for 1, and for a sum of maps."""
+        first, *others = self.layers
+        if others or not first.changed:
+            return self, None
+        return Environment._of([first._replace(gain=_ONE)]), first.gain
+
     @property
     def _one_frame(self) -> bool:
         """Whether all layers have texels in the same directions."""

@@ -29,6 +29,8 @@ class Relighter(nn.Module, ABC):
         BRDF     exitant = brdf_step(incident, materials, points)
         view     radiance = view_step(exitant, points, eye)
 
+    A factor or a tint of a light multiplies the radiance: it costs no step.
+
     `torch.compile(relighter)` fuses the steps where torch does them; where kernels do, nothing is left to fuse (in a
     trial, 0.15 ms for a graph of what stands around them that takes 0.05 without), and it changes nothing.
     """
@@ -72,7 +74,9 @@ class Relighter(nn.Module, ABC):
         chosen = self.chosen(materials)
         eye = eye_of(view, self.positions)
         points = self.points(view, eye, chosen)
-        return self.view_step(self.exitant(environment, chosen, points), points, eye)
+        light, factor = environment.factored() if isinstance(environment, Environment) else (environment, None)
+        radiance = self.view_step(self.exitant(light, chosen, points), points, eye)
+        return radiance if factor is None else radiance * factor.to(radiance)
 
     _relit_by_kernels = opaque(_relit)
 
