@@ -23,6 +23,7 @@ from torch import Tensor
 
 from ptt.light.environment import Environment
 from ptt.materials.material import Material, lambert
+from ptt.ops import latlong
 from ptt.reference import Estimate, along_rays
 from ptt.scene.scene import Scene
 
@@ -68,7 +69,7 @@ def mitsuba_light(environment: Environment) -> dict[str, Any]:
     phi = (torch.arange(width, dtype=torch.float64) + 0.5) * (2 * math.pi / width)
     y = theta.cos().expand(-1, width)
     directions = torch.stack([theta.sin() * phi.sin(), y, -theta.sin() * phi.cos()], -1)
-    texels = environment.radiance(directions @ environment.rotation.T)
+    texels = latlong.radiance(environment.map, directions.float())
     turn = torch.eye(4, dtype=torch.float64)
     turn[:3, :3] = environment.rotation
     to_world = mi.ScalarTransform4f(turn.numpy())
