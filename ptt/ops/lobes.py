@@ -53,7 +53,7 @@ def lean(axes: Tensor, wo: Tensor) -> Tensor:
     """
     index, weights = corners(wo, 1, axes.shape[2])
     table = axes.to(wo).flatten(0, 1).T.contiguous()  # shape: (t, 2 k)
-    mixed = mix(table, index.reshape(-1, 2), weights.reshape(-1, 2)).reshape(*wo.shape[:-1], -1)
+    mixed = mix(table, index.reshape(-1, 2), weights.reshape(-1, 2)).reshape(*wo.shape[:-1], table.shape[1])
     along, up = mixed.chunk(2, -1)  # shape: (..., k)
     return torch.stack((-along * wo[..., :1], -along * wo[..., 1:2], up), -1)
 
