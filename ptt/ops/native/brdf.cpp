@@ -47,8 +47,8 @@ extern "C" int32_t ptt_eigen(const Eigen *g) {
 
 // expand: S[b, c, x, w] unit[b] = sum over e of  A[cluster[b], c, e, x] W[b, e, w], rounded to 16 bits, and laid out in
 // blocks of GROUP points, so that the view step reads it in one line.
-// Of a tile, in rows x and in vectors of w: 24 sums fill 32 registers, 12 fill 16.
-constexpr int ROWS = 6, ACROSS = LANES == 16 ? 4 : 2;
+// Of a tile, in rows x and in vectors of w: 24 sums fill 32 registers, 12 fill 16; whole groups, whatever the lanes are.
+constexpr int ROWS = 6, ACROSS = LANES == 8 ? 2 : 4;
 
 template <int R>
 static inline void expand_tile(const float *a, const float *w, Half *s, int64_t e, int64_t x, int64_t width,
@@ -89,7 +89,7 @@ static inline float reach(const float *w, int64_t e, int64_t width) {
 }
 
 extern "C" int32_t ptt_expand(const Expand *g) {
-    static_assert(WIDTH % (ACROSS * LANES) == 0 && GROUP % LANES == 0, "a block holds whole tiles");
+    static_assert(WIDTH % (ACROSS * LANES) == 0 && ACROSS * LANES % GROUP == 0, "blocks hold whole tiles, of whole groups");
     const int64_t e = g->factors, x = g->x, width = g->width, channels = g->channels, tiles = (x + ROWS - 1) / ROWS;
     in_parallel(g->blocks, g->threads, [=](int64_t b) {
         const float *own = g->eigen + g->cluster[b] * channels * e * x, *w = g->weights + b * e * width;
