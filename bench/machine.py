@@ -11,7 +11,6 @@ keep their models.
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import os
 import subprocess
@@ -19,6 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 
 from bench.table import ROOT, Table, setting
 
@@ -36,18 +36,9 @@ def main() -> None:
     if "PTT_DATA" not in os.environ:
         parser.error("set PTT_DATA to the folder with meshes and hdri")
     for name in parts:
-        replace_rows(name, PARTS[name])
-
-
-def replace_rows(name: str, part: Callable[[Table], None]) -> None:
-    """Write the rows of one part; those of the others stay as they are in the file by now."""
-    table = Table("machine")
-    old = list(csv.DictReader(table.path.open())) if table.path.exists() else []
-    part(table)
-    new = table.rows
-    kept = {other: [row for row in old if row["what"].startswith(f"{other}, ")] for other in PARTS}
-    table.rows = [row for rows in (kept | {name: new}).values() for row in rows]
-    table.write()
+        table = Table("machine")
+        PARTS[name](table)
+        table.replace(name, PARTS)
 
 
 def measured(part: str, **variables: str) -> list[dict[str, str]]:
@@ -57,12 +48,6 @@ def measured(part: str, **variables: str) -> list[dict[str, str]]:
         command, cwd=ROOT, env=os.environ | variables, stdout=subprocess.PIPE, text=True, check=True
     ).stdout
     return [json.loads(line) for line in done.splitlines() if line.startswith("{")]
-
-
-def take(table: Table, rows: list[dict[str, str]]) -> None:
-    """Add rows of another process."""
-    for row in rows:
-        table.row(**row)  # type: ignore[arg-type]
 
 
 def first(table: Table) -> None:
@@ -78,22 +63,11 @@ def first(table: Table) -> None:
             table.row(f"{what}, built", again, "s", f"import ptt and kernels that are kept; {setting()}")
 
 
-def lights(table: Table) -> None:
-    """Another map, and lights made of those that are ready."""
+def elsewhere(part: str, table: Table) -> None:
+    """The rows of a part of `bench.machine_parts`, with both sets of instructions."""
     for variables in SETS.values():
-        take(table, measured("lights", **variables))
-
-
-def engine(table: Table) -> None:
-    """The engine's rates by every form, beside what reading its bytes allows."""
-    for variables in SETS.values():
-        take(table, measured("engine", **variables))
-
-
-def compression(table: Table) -> None:
-    """From a traced scene to its model."""
-    for variables in SETS.values():
-        take(table, measured("compression", **variables))
+        for row in measured(part, **variables):
+            table.row(**row)  # type: ignore[arg-type]
 
 
 def neighbours(table: Table) -> None:
@@ -126,9 +100,9 @@ def timed(command: list[str], variables: dict[str, str]) -> float:
 
 PARTS: dict[str, Callable[[Table], None]] = {
     "first": first,
-    "lights": lights,
-    "engine": engine,
-    "compression": compression,
+    "lights": partial(elsewhere, "lights"),
+    "engine": partial(elsewhere, "engine"),
+    "compression": partial(elsewhere, "compression"),
     "neighbours": neighbours,
 }
 

@@ -17,7 +17,7 @@ import ptt
 from bench.cases import CASES, PAPER
 from bench.forms import FORMS, made
 from bench.frames import balls, bytes_read, dressed, steps
-from bench.table import ROOT, read_bandwidth, setting
+from bench.table import ROOT, median_seconds, read_bandwidth, setting
 from ptt.cli import kept_model
 
 NUMBERS = count(1)
@@ -33,16 +33,6 @@ def row(what: str, value: float, unit: str, how: str, goal: str = "", **others: 
 def instructions() -> str:
     """AVX2, or all that the processor has."""
     return "AVX2" if os.environ.get("PTT_MARCH") else torch.backends.cpu.get_cpu_capability()
-
-
-def median(function: Callable[[], object], repeats: int) -> float:
-    """Median seconds of a call, after two that are not counted."""
-    times = []
-    for _ in range(2 + repeats):
-        start = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - start)
-    return statistics.median(times[2:])
 
 
 def small() -> tuple[ptt.Scene, ptt.TransferRelighter]:
@@ -82,7 +72,7 @@ def lights() -> None:
         "a sum, turned apart": lambda: a + b.rotated(y=next(NUMBERS)),
     }
     for name, change in changes.items():
-        ready = median(lambda change=change: relighter(change(), scene.materials, scene.camera), 20)  # type: ignore[misc]
+        ready = median_seconds(lambda change=change: relighter(change(), scene.materials, scene.camera), 20)  # type: ignore[misc]
         row(f"{what}, {name} of lights that are ready", 1e3 * ready, "ms", how)
 
 
@@ -114,7 +104,7 @@ def engine() -> None:
         read = bytes_read(model, relighter, light, dressed(scene, material))
         rates[form] = {}
         for step, frame in steps(made(relighter, fused), scene, light, material).items():
-            seconds = median(frame, 40 if kernels else 8)
+            seconds = median_seconds(frame, 40 if kernels else 8)
             rates[form][step] = 1 / seconds
             limit = bandwidth / read[step]
             aside = f"{limit:.0f} frames/s to read {read[step] / 1e6:.3g} MB"

@@ -13,7 +13,7 @@ import re
 import statistics
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import torch
@@ -34,6 +34,13 @@ class Table:
         row = {"what": what, "value": f"{value:.4g}", "unit": unit, "goal": goal, **others, "how": how}
         self.rows.append({column: row.get(column, "") for column in COLUMNS})
         print(f"{what}: {value:.4g} {unit} {f'(goal {goal})' if goal else ''}", flush=True)
+
+    def replace(self, name: str, names: Iterable[str]) -> None:
+        """Write these rows, whose names begin with "name, "; those that begin with other names stay as they are."""
+        old = list(csv.DictReader(self.path.open())) if self.path.exists() else []
+        parts = {other: [row for row in old if row["what"].startswith(f"{other}, ")] for other in names}
+        self.rows = [row for rows in (parts | {name: self.rows}).values() for row in rows]
+        self.write()
 
     def write(self) -> None:
         """Replace the topic's file."""

@@ -11,7 +11,6 @@ process of its own, so that its peak memory is known.
 from __future__ import annotations
 
 import argparse
-import csv
 import os
 import resource
 import time
@@ -50,16 +49,9 @@ def main() -> None:
         parser.error("set PTT_DATA to the folder with meshes and hdri")
     for name in arguments.only or (*CASES, *OTHERS):
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            replace_rows(name, pool.submit(OTHERS.get(name, scene_rows), name).result())
-
-
-def replace_rows(name: str, new: list[dict[str, str]]) -> None:
-    """Write the rows of one scene; those of the others stay as they are in the file by now."""
-    table = Table("transfer")
-    old = list(csv.DictReader(table.path.open())) if table.path.exists() else []
-    rows = {scene: [row for row in old if row["what"].startswith(scene)] for scene in (*CASES, *OTHERS)}
-    table.rows = [row for scene in (rows | {name: new}).values() for row in scene]
-    table.write()
+            table = Table("transfer")
+            table.rows = pool.submit(OTHERS.get(name, scene_rows), name).result()
+            table.replace(name, (*CASES, *OTHERS))
 
 
 def scene_rows(name: str) -> list[dict[str, str]]:

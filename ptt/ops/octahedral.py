@@ -69,7 +69,7 @@ def corners(ab: Tensor, n: int, wrap: bool, first: Tensor | None = None) -> tupl
     if wrap:
         columns = torch.stack((column, column + 1, column, column + 1), dim=-1).long()
         rows = torch.stack((row, row, row + 1, row + 1), dim=-1).long()
-        return _index(rows, columns, n, wrap), weights
+        return _mirrored(rows, columns, n), weights
     left, right = (each.clamp(0, n - 1).long() for each in (column, column + 1))
     above, below = (n * each.clamp(0, n - 1).long() for each in (row, row + 1))
     if first is not None:
@@ -84,14 +84,13 @@ def bordered(table: Tensor) -> Tensor:
     """
     n = round(len(table) ** 0.5)
     around = torch.arange(-1, n + 1, device=table.device)
-    return table[_index(around[:, None], around, n, wrap=True).flatten()]
+    return table[_mirrored(around[:, None], around, n).flatten()]
 
 
-def _index(rows: Tensor, columns: Tensor, n: int, wrap: bool) -> Tensor:
-    """Numbers of the cells at rows and columns, which may lie beyond an edge."""
-    if wrap:
-        columns = torch.where((rows < 0) | (rows >= n), n - 1 - columns, columns)
-        rows = torch.where((columns < 0) | (columns >= n), n - 1 - rows, rows)
+def _mirrored(rows: Tensor, columns: Tensor, n: int) -> Tensor:
+    """Numbers of the cells at rows and columns; beyond an edge lie its own cells, mirrored about its middle."""
+    columns = torch.where((rows < 0) | (rows >= n), n - 1 - columns, columns)
+    rows = torch.where((columns < 0) | (columns >= n), n - 1 - rows, rows)
     return rows.clamp(0, n - 1) * n + columns.clamp(0, n - 1)
 
 
