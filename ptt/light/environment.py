@@ -15,7 +15,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from math import pi, radians, sin
+from math import isfinite, pi, radians, sin
 from os import PathLike
 from typing import NamedTuple
 
@@ -212,8 +212,9 @@ class Environment:
 
     def rotated(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Environment:
         """The environment turned by degrees about the world axes, first x, then y, then z; right-handed."""
+        if not all(map(isfinite, (x, y, z))):
+            raise ValueError(f"angles must be finite, got {(x, y, z)}")
         rotation = turn(2, z) @ turn(1, y) @ turn(0, x)
-        _check_rotation(rotation)
         return Environment._of(layer._replace(rotation=rotation @ layer.rotation) for layer in self.layers)
 
     def scaled(self, factor: Colour) -> Environment:

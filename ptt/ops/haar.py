@@ -18,6 +18,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+RUN = 32  # numbers in a row that are asked for their largest first: a trial of 16, 32 and 64 on T0
+
 
 def analyse(values: Tensor) -> Tensor:
     """Coefficients (..., n, n) of values (..., n, n); n is a power of two.
@@ -90,8 +92,17 @@ def truncate(coefficients: Tensor, keep: int, weights: Tensor | None = None) -> 
     if keep == length:
         return Truncated(torch.arange(length, dtype=torch.int32).expand(coefficients.shape), coefficients)
     magnitude = coefficients.abs() if weights is None else coefficients.abs().mul_(weights)
-    indices = magnitude.topk(keep, dim=-1, sorted=False).indices.sort(dim=-1).values
+    indices = _largest(magnitude, keep).sort(dim=-1).values
     return Truncated(indices.int(), coefficients.gather(-1, indices))
+
+
+def _largest(values: Tensor, keep: int) -> Tensor:
+    """Positions (..., keep) of the largest of values (..., l): none lies outside of the `keep` runs with the largest."""
+    if values.shape[-1] % RUN or keep * RUN >= values.shape[-1]:
+        return values.topk(keep, dim=-1, sorted=False).indices
+    runs = values.unflatten(-1, (-1, RUN)).amax(-1).topk(keep, dim=-1, sorted=False).indices
+    near = (RUN * runs[..., None] + torch.arange(RUN, device=values.device)).flatten(-2)
+    return near.gather(-1, values.gather(-1, near).topk(keep, dim=-1, sorted=False).indices)
 
 
 def support(n: int) -> Tensor:

@@ -6,7 +6,9 @@ import math
 
 import torch
 from scipy.spatial import Delaunay
-from torch import Tensor
+from torch import Tensor, nn
+
+INSIDE = 1e-9  # a barycentric weight that is less below zero is inside
 
 
 class Simplices:
@@ -29,19 +31,20 @@ class Simplices:
         self._scale = (points.amax(0) - points.amin(0)).double().clamp(min=1e-300)
         axes = [column.unique() for column in self.points.T.contiguous()]
         lengths = [len(axis) for axis in axes]
-        is_grid = math.prod(lengths) == count and (min(lengths) > 1 or count == 1)
-        self._axes = axes if is_grid else None
-        if self._axes is None:
+        self._axes = axes if math.prod(lengths) == count and (min(lengths) > 1 or count == 1) else []
+        columns = self.points.T.contiguous()
+        self._places = [torch.searchsorted(axis, x) for axis, x in zip(self._axes, columns, strict=False)]
+        if not self._axes:
             self._triangulate()
 
     def _triangulate(self) -> None:
         if int(torch.linalg.matrix_rank((self.points - self.points[0]) / self._scale, rtol=1e-9)) < 2:
             raise ValueError("points of a plane must not lie on one line")
-        self._triangles = Delaunay((self.points / self._scale).numpy())
-        self._cells = torch.from_numpy(self._triangles.simplices).long()
-        a, *others = self.points[self._cells].unbind(1)
-        self._inverses = torch.linalg.inv(torch.stack([b - a for b in others], 2))
-        self._hull = torch.from_numpy(self._triangles.convex_hull).long()
+        triangles = Delaunay((self.points / self._scale).numpy())
+        self._cells = torch.from_numpy(triangles.simplices).long()
+        corners = nn.functional.pad(self.points[self._cells], (0, 1), value=1.0)  # shape: (t, 3, 3), a corner a row
+        self._barycentric = torch.linalg.inv(corners.mT)
+        self._hull = torch.from_numpy(triangles.convex_hull).long()
 
     def weights(self, point: Tensor) -> Tensor:
         """Weights (h,) float64 whose mean of the points is a point (d,): >= 0, sum 1, at most 2^d of them not zero.
@@ -50,24 +53,21 @@ class Simplices:
         parts of the points' range. Differentiable in the point.
         """
         point = point.double()
-        if self._axes is not None:
-            return self._on_grid(self._axes, point)
-        inside = int(self._triangles.find_simplex((point / self._scale).detach().numpy(), tol=1e-9))
-        return self._on_hull(point) if inside < 0 else self._within(inside, point)
+        if self._axes:
+            return self._on_grid(point)
+        weights = self._barycentric @ nn.functional.pad(point, (0, 1), value=1.0)  # shape: (t, 3)
+        least, cell = weights.detach().amin(1).max(0)
+        if least < -INSIDE:
+            return self._on_hull(point)
+        weights = weights[cell].clamp(min=0)
+        return self._scatter(self._cells[cell], weights / weights.sum())
 
-    def _on_grid(self, axes: list[Tensor], point: Tensor) -> Tensor:
+    def _on_grid(self, point: Tensor) -> Tensor:
         """Bilinear weights (h,)."""
         weights = torch.ones(len(self.points), dtype=torch.float64)
-        for axis, column, x in zip(axes, self.points.T.contiguous(), point, strict=True):
-            weights = weights * _along(axis, x)[torch.searchsorted(axis, column)]
+        for axis, place, x in zip(self._axes, self._places, point, strict=True):
+            weights = weights * _along(axis, x)[place]
         return weights
-
-    def _within(self, cell: int, point: Tensor) -> Tensor:
-        """Barycentric weights (h,) inside a triangle, by its number."""
-        corners = self._cells[cell]
-        others = self._inverses[cell] @ (point - self.points[corners[0]])
-        weights = torch.cat((1 - others.sum(0, keepdim=True), others)).clamp(min=0)
-        return self._scatter(corners, weights / weights.sum())
 
     def _on_hull(self, point: Tensor) -> Tensor:
         """Weights (h,) of the nearest point on the hull's edges."""

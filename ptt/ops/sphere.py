@@ -304,16 +304,11 @@ def triangle_solid_angles(p: Tensor, q: Tensor, r: Tensor, volume: Tensor | None
 
 def turn(axis: int, degrees: float) -> Tensor:
     """Right-handed rotation (3, 3) about axis 0, 1 or 2 by degrees, float64."""
-    matrix = torch.eye(3, dtype=torch.float64)
-    i = (axis + 1) % 3
-    j = (axis + 2) % 3
     c = cos(radians(degrees))
     s = sin(radians(degrees))
-    matrix[i, i] = c
-    matrix[i, j] = -s
-    matrix[j, i] = s
-    matrix[j, j] = c
-    return matrix
+    about_x = ((1.0, 0.0, 0.0), (0.0, c, -s), (0.0, s, c))
+    rows = [[about_x[(i - axis) % 3][(j - axis) % 3] for j in range(3)] for i in range(3)]
+    return torch.tensor(rows, dtype=torch.float64)
 
 
 def _disk_area(b: Tensor, a: Tensor) -> Tensor:

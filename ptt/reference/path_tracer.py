@@ -20,8 +20,9 @@ from ptt.ops.raycast import Hits
 from ptt.reference.sampling import BeckmannLobe, GGXLobe, Mixture, PowerLobe
 from ptt.scene.scene import Scene
 
-BATCHES = 64  # at least so many where there are as many samples: the standard error then errs by 1 / sqrt(2 x 63) = 9 %
-LATTICE = 256  # at most so many samples a batch
+BATCHES = 64  # of samples, where there are enough of them: the standard error then errs by 1 / sqrt(2 x 63) = 9 %
+SMALLEST = 4  # samples a batch, where there are two batches of them: fewer are spread no better than by chance
+LARGEST = 256  # samples a batch
 RAYS = 1 << 17  # paths that a thread traces at a time: about 80 MB
 THREADS = 16  # at most so many: each holds its own paths
 GRAZING = 1e-6  # a direction is above the horizon if its cosine is greater: float32 rounds unit vectors by 1e-7
@@ -94,7 +95,8 @@ class PathTracer:
 
     def estimate(self, start: PathVertices) -> Estimate:
         """Means and standard errors (n, 3) of the light from n vertices."""
-        size = min(max(1, self.samples // BATCHES), LATTICE)
+        size = min(max(self.samples // BATCHES, min(SMALLEST, self.samples // 2)), LARGEST)
+        size = 1 << size.bit_length() - 1  # Sobol's points are even in powers of two
         batches = -(-self.samples // size)
         above = torch.nonzero(start.wo[:, 2] > GRAZING)[:, 0]
         sums = torch.zeros(2, len(start.wo), 3, dtype=torch.float64)
@@ -124,7 +126,7 @@ class PathTracer:
     def _batch_means(self, start: PathVertices, count: int, size: int, random: torch.Generator) -> Tensor:
         """Means (n, count, 3) of `count` batches of `size` paths from each of n vertices."""
         n = len(start.wo)
-        u = (_uniform(n * count, random)[:, None] + _lattice(size)).frac().reshape(-1, 5)
+        u = (_uniform(n * count, random)[:, None] + _spread(size)).frac().reshape(-1, 5)
         light = self._trace(start.take(torch.arange(n).repeat_interleave(count * size)), u, random)
         return light.reshape(n, count, size, 3).double().mean(2)
 
@@ -272,10 +274,9 @@ def _uniform(n: int, random: torch.Generator) -> Tensor:
     return torch.rand(n, 5, generator=random)
 
 
-def _lattice(size: int) -> Tensor:
-    """Multiples (size, 5) of the powers of 1/g, g^6 = g + 1: a sequence that fills the 5-cube evenly."""
-    g = 1.1347241384015194
-    return (torch.arange(size)[:, None].double() * g ** -torch.arange(1.0, 6.0).double()).frac().float()
+def _spread(size: int) -> Tensor:
+    """The first points (size, 5) of Sobol's sequence, even in every pair of axes from four points on."""
+    return torch.quasirandom.SobolEngine(5).draw(size)
 
 
 def _pick(values: Tensor, rows: Tensor) -> Tensor:

@@ -257,9 +257,10 @@ def test_how_directions_are_drawn_does_not_matter(monkeypatch: pytest.MonkeyPatc
     rows = torch.arange(0, len(scene.vertices), 40)
     points = Points(*(x[rows] for x in reference.vertex_points(scene)))
     wo = scene.camera.toward(points.position)
+    materials = scene.materials | {scene.regions[0].name: ptt.blinn_phong(0.3, 0.5, 100.0)}
 
     def run(seed: int) -> Estimate:
-        return radiance(scene, environment, scene.materials, points, wo, bounces=1, samples=2048, seed=seed)
+        return radiance(scene, environment, materials, points, wo, bounces=1, samples=2048, seed=seed)
 
     both = run(0)
     uniform = Environment.constant().sampler()
