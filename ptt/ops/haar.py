@@ -97,12 +97,13 @@ def truncate(coefficients: Tensor, keep: int, weights: Tensor | None = None) -> 
 
 
 def _largest(values: Tensor, keep: int) -> Tensor:
-    """Positions (..., keep) of the largest of values (..., l): none lies outside of the `keep` runs with the largest."""
+    """Positions (..., keep) of the largest of values (..., l): all are in the `keep` runs with the largest ones."""
     if values.shape[-1] % RUN or keep * RUN >= values.shape[-1]:
         return values.topk(keep, dim=-1, sorted=False).indices
     runs = values.unflatten(-1, (-1, RUN)).amax(-1).topk(keep, dim=-1, sorted=False).indices
     near = (RUN * runs[..., None] + torch.arange(RUN, device=values.device)).flatten(-2)
-    return near.gather(-1, values.gather(-1, near).topk(keep, dim=-1, sorted=False).indices)
+    best = values.gather(-1, near).topk(keep, dim=-1, sorted=False).indices
+    return near.gather(-1, best)
 
 
 def support(n: int) -> Tensor:

@@ -11,8 +11,9 @@ bright, one where the BRDF is large; both see the environment, weighted by the b
   from or to where they see the horizon, as Mitsuba's `diffuse` has it.
 - Rays leave a given point at `Surface.offset(position, normal)`, and a hit at its offset along the face's normal.
 
-Samples come in batches that are independent of each other and well spread within (Sobol's points,
-shifted as by Cranley and Patterson): the spread between the batches' means gives the standard error. Sums are float64; light is float32.
+Samples come in batches that are independent of each other and well spread within (Sobol's points, shifted as by
+Cranley and Patterson): the spread between the batches' means gives the standard error. Sums are float64; light is
+float32.
 
 Example:
     >>> estimate = at_vertices(scene, Environment.load("uffizi.hdr"), scene.materials, scene.camera, bounces=2)
