@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from ptt.ops import latlong
-from ptt.ops.sphere import LatLong
+from ptt.ops.grids import LatLong
 
 Layout = Literal["auto", "latlong", "cross", "angular"]
 """The layout of the sphere in an image; "auto" decides by width : height.

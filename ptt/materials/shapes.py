@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from ptt.ops import brdf, lobes
-from ptt.ops.sphere import turn
+from ptt.ops.directions import turn
 
 Number = float | Tensor
 

@@ -103,7 +103,8 @@ def _largest(values: Tensor, keep: int) -> Tensor:
     runs = values.unflatten(-1, (-1, RUN)).amax(-1).topk(keep, dim=-1, sorted=False).indices
     near = (RUN * runs[..., None] + torch.arange(RUN, device=values.device)).flatten(-2)
     best = values.gather(-1, near).topk(keep, dim=-1, sorted=False).indices
-    return near.gather(-1, best)
+    found: Tensor = near.gather(-1, best)
+    return found
 
 
 def support(n: int) -> Tensor:

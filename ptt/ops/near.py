@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from ptt.ops import slices
+from ptt.ops.directions import toward
 from ptt.ops.octahedral import corners, hemi_octahedral
-from ptt.ops.sphere import toward
 
 
 class Near(NamedTuple):

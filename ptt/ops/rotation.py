@@ -15,7 +15,7 @@ world space, the target `HemiOctahedral(n // 2)` around the normal.
 - Rotating by A and then by B is rotating by B A, and back by A^T, to a bound that falls with n.
 
 Example, the sphere turned by half a turn about y:
-    >>> from ptt.ops.sphere import turn
+    >>> from ptt.ops.directions import turn
     >>> height = Octahedral(64).directions()[..., 2:]
     >>> turned = rotate(height, turn(1, 180))
     >>> bool((turned + height).abs().max() < 0.05)
@@ -34,8 +34,8 @@ from scipy.sparse import block_diag, csr_array
 from torch import Tensor
 
 from ptt.ops import haar
+from ptt.ops.grids import Grid
 from ptt.ops.octahedral import Octahedral, mix
-from ptt.ops.sphere import Grid
 from ptt.ops.table import Table, stored
 
 SAMPLES = 4  # along the edge of a target's cell

@@ -21,8 +21,8 @@ import torch
 from torch import Tensor
 
 from ptt.ops import haar, tucker
+from ptt.ops.directions import toward
 from ptt.ops.octahedral import HemiOctahedral, corners, hemi_octahedral, octahedral
-from ptt.ops.sphere import toward
 
 BRDF = Callable[[Tensor, Tensor], Tensor]  # f(wi, wo): (..., 3), (..., 3) -> (...) [1/sr]
 ALIGNED = 16  # points, and terms, come in multiples of it

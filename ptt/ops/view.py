@@ -22,9 +22,9 @@ import torch
 from torch import Tensor
 
 from ptt.ops import harmonics, lobes
+from ptt.ops.directions import toward
 from ptt.ops.octahedral import corners, hemi_octahedral, mix, octahedral, tiles
 from ptt.ops.relight import OutgoingLight
-from ptt.ops.sphere import toward
 
 BYTE = 255.0
 

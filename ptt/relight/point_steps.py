@@ -12,7 +12,7 @@ from ptt.materials.material import Material
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import haar, relight, transfer
 from ptt.ops.compiling import in_python, opaque, uncompiled
-from ptt.ops.sphere import toward
+from ptt.ops.directions import toward
 
 
 @in_python

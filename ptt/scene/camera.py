@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from ptt.ops.sphere import toward
+from ptt.ops.directions import toward
 
 Vector = tuple[float, float, float]
 PARALLEL = 1e-9  # sine of the least angle between up and the view

@@ -10,7 +10,7 @@ from torch import Tensor
 from ptt.light.environment import Environment
 from ptt.materials.material import blinn_phong
 from ptt.ops import mesh
-from ptt.ops.sphere import turn
+from ptt.ops.directions import turn
 from ptt.scene.camera import Camera
 from ptt.scene.parts import Part, transformed
 from ptt.scene.scene import Scene

@@ -44,7 +44,7 @@ from torch import Tensor
 from ptt.light.environment import Environment
 from ptt.materials import material as materials
 from ptt.ops import mesh
-from ptt.ops.sphere import turn
+from ptt.ops.directions import turn
 from ptt.scene.camera import Camera
 from ptt.scene.hidden import without_hidden
 from ptt.scene.mesh_files import read_parts, read_texture

@@ -16,7 +16,7 @@ from torch import Tensor
 from ptt.io.images import write_image
 from ptt.light.environment import Environment
 from ptt.ops import latlong
-from ptt.ops.sphere import Cube, Disk, Grid, LatLong
+from ptt.ops.grids import Cube, Disk, Grid, LatLong
 
 GRIDS = [Cube(4), Cube(16), LatLong(16, 32)]
 

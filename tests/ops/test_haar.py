@@ -73,3 +73,16 @@ def test_support_is_where_a_basis_function_is_not_zero() -> None:
     basis = haar.synthesise(torch.eye(64, dtype=torch.float64).reshape(64, 8, 8))
     sides = (basis != 0).flatten(1).sum(1).double().sqrt() / 8
     assert torch.equal(sides, haar.support(8).flatten())
+
+
+@pytest.mark.parametrize("keep", [1, 40, 127, 128, 500])
+def test_the_largest_of_many_are_found_wherever_they_lie(keep: int) -> None:
+    """All of them in one run of neighbours, one in each run, and by chance; 128 runs of 32."""
+    scattered = torch.randn(3, 4096, generator=torch.Generator().manual_seed(3))
+    scattered[1, 640:672] *= 100
+    scattered[2, ::32] *= 100
+    kept = haar.truncate(scattered, keep)
+    assert torch.equal(
+        kept.values.abs().sort(descending=True).values, scattered.abs().sort(descending=True).values[:, :keep]
+    )
+    assert torch.equal(kept.values, scattered.gather(1, kept.indices.long()))

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from ptt.ops import haar, rotation
+from ptt.ops.directions import turn
 from ptt.ops.geodesic import Geodesic
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
-from ptt.ops.sphere import turn
 
 
 def random_frames(count: int, seed: int = 0) -> Tensor:

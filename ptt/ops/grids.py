@@ -18,12 +18,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from math import cos, pi, prod, radians, sin
+from math import pi, prod
 
 import torch
 from torch import Tensor
 
-from ptt.ops.constants import TINY
+from ptt.ops.directions import checked_directions, unit
 
 _Function = Callable[[Tensor], Tensor]
 
@@ -290,27 +290,6 @@ class Disk(Squares):
         return _within_circle(_mixed_difference(corner), 2 * rows - 1, 2 * columns - 1)
 
 
-def triangle_solid_angles(p: Tensor, q: Tensor, r: Tensor, volume: Tensor | None = None) -> Tensor:
-    """Solid angles (...) [sr] of triangles with corners (..., 3), by Van Oosterom and Strackee.
-
-    volume (...): |p . (q x r)|, where it is known without cancellation
-    """
-    if volume is None:
-        volume = (p * torch.linalg.cross(q, r)).sum(-1).abs()
-    lp, lq, lr = (corner.norm(dim=-1) for corner in (p, q, r))
-    pq, qr, rp = ((a * b).sum(-1) for a, b in ((p, q), (q, r), (r, p)))
-    return 2 * torch.atan2(volume, lp * lq * lr + pq * lr + qr * lp + rp * lq)
-
-
-def turn(axis: int, degrees: float) -> Tensor:
-    """Right-handed rotation (3, 3) about axis 0, 1 or 2 by degrees, float64."""
-    c = cos(radians(degrees))
-    s = sin(radians(degrees))
-    about_x = ((1.0, 0.0, 0.0), (0.0, c, -s), (0.0, s, c))
-    rows = [[about_x[(i - axis) % 3][(j - axis) % 3] for j in range(3)] for i in range(3)]
-    return torch.tensor(rows, dtype=torch.float64)
-
-
 def _disk_area(b: Tensor, a: Tensor) -> Tensor:
     """Signed area of the part of the rectangle from (0, 0) to (a, b) that lies in the unit disk."""
 
@@ -372,41 +351,8 @@ def step_index(fraction: Tensor, n: int) -> Tensor:
     return (fraction * n).floor().long().clamp(0, n - 1)
 
 
-def unit(directions: Tensor) -> Tensor:
-    """Directions (..., 3) scaled to length 1."""
-    lengths: Tensor = torch.linalg.vector_norm(directions, dim=-1, keepdim=True)
-    return directions / lengths
-
-
-def checked_directions(directions: Tensor) -> Tensor:
-    """Directions (..., 3) in float64.
-
-    Raises:
-        ValueError: another shape, or a direction that is zero or not finite.
-    """
-    d = directions.to(torch.float64)
-    if d.ndim < 1 or d.shape[-1] != 3:
-        raise ValueError(f"directions must have shape (..., 3), got {tuple(directions.shape)}")
-    bad = ~(d.isfinite().all(-1) & (d != 0).any(-1))
-    if bad.any():
-        raise ValueError(f"directions must be finite and non-zero: {int(bad.sum())} of {bad.numel()} are not")
-    return d
-
-
 def at_least_one(name: str, value: int) -> int:
     """The value; raises ValueError where it is below 1."""
     if value < 1:
         raise ValueError(f"{name} must be at least 1, got {value}")
     return value
-
-
-def toward(eye: Tensor, positions: Tensor, axis: int = -1) -> Tensor:
-    """Unit directions from positions, whose coordinates lie along an axis, to an eye (3,).
-
-    An eye of the shape of the positions holds the directions themselves. A position in the eye has the direction 0.
-    """
-    if eye.ndim == 1:
-        shape = [1] * positions.ndim
-        shape[axis] = 3
-        eye = eye.reshape(shape) - positions
-    return eye / eye.square().sum(axis, keepdim=True).clamp(min=TINY).sqrt()
