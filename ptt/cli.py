@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import tyro
 
 from ptt.light.environment import Environment
+from ptt.light.layouts import Layout
 from ptt.materials.material import Material
 from ptt.materials.shapes import GGX, BlinnPhong, CookTorrance, Ward
 from ptt.materials.spaces import BRDFSpace
@@ -65,8 +66,8 @@ def chosen_scene(name: str) -> Scene:
     return default_scene() if name == "default" else load_scene(name)
 
 
-def chosen_light(name: str, scene: Scene) -> Environment:
-    """The map in a file; "scene" is the scene's own, "sky" and "constant" are made in code.
+def chosen_light(name: str, scene: Scene, layout: Layout) -> Environment:
+    """The map in a file, by its layout; "scene" is the scene's own, "sky" and "constant" are made in code.
 
     Raises:
         ValueError: the scene has no environment, or the file cannot be read.
@@ -76,7 +77,7 @@ def chosen_light(name: str, scene: Scene) -> Environment:
         "sky": Environment.sun_sky,
         "constant": Environment.constant,
     }
-    light = made[name]() if name in made else Environment.load(name)
+    light = made[name]() if name in made else Environment.load(name, layout)
     if light is None:
         raise ValueError("--environment must be a map (.exr .hdr), sky or constant: the scene has none of its own")
     return light

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import ptt
 from ptt.cli import chosen_light, chosen_scene, configure, run
+from ptt.light.layouts import Layout
 
 
 @dataclass
@@ -28,6 +29,8 @@ class Config:
     """The scene that the model was made of."""
     environment: str = "scene"
     """An HDR map (.exr .hdr), "scene" for the scene's own, "sky" or "constant"."""
+    layout: Layout = "auto"
+    """Layout of the sphere in the map: latlong, cross, angular or octahedral; auto: by width and height."""
     rotate: float = 0.0
     """Turn of the light about the vertical axis, degrees."""
     bounces: int | None = None
@@ -40,7 +43,7 @@ def main() -> None:
     config = configure(Config, __doc__ or "")
     model = ptt.TransferModel.load(config.model)
     scene = chosen_scene(config.scene)
-    light = chosen_light(config.environment, scene).rotated(y=config.rotate)
+    light = chosen_light(config.environment, scene, config.layout).rotated(y=config.rotate)
     relighter = ptt.TransferRelighter(model)
 
     start = time.perf_counter()

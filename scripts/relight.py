@@ -25,6 +25,7 @@ import torch
 from torch import Tensor
 
 from ptt.cli import chosen_light, chosen_scene, chosen_space, configure, kept_model, run
+from ptt.light.layouts import Layout
 
 JUDGED = 1000  # vertices, at most
 
@@ -39,6 +40,8 @@ class Config:
     """The model that compress.py wrote for this scene; without it, the scene is traced and compressed first."""
     environment: str = "scene"
     """An HDR map (.exr .hdr), "scene" for the scene's own, "sky" or "constant"."""
+    layout: Layout = "auto"
+    """Layout of the sphere in the map: latlong, cross, angular or octahedral; auto: by width and height."""
     region: str = ""
     """Region whose material is edited; default: the second one, or the only one."""
     diffuse: tuple[float, float, float] = (0.03, 0.1, 0.05)
@@ -72,7 +75,7 @@ class Config:
 def main() -> None:
     config = configure(Config, __doc__ or "")
     scene = chosen_scene(config.scene)
-    light = chosen_light(config.environment, scene)
+    light = chosen_light(config.environment, scene, config.layout)
     camera = replace(scene.camera, width=config.width, height=config.height)
 
     # choose the edit

@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from ptt.io.images import read_image, to_srgb
+from ptt.io.colour import to_srgb
+from ptt.io.images import read_image
 from ptt.ops import mesh
 from ptt.scene.scene import Scene
 

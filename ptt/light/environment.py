@@ -138,15 +138,18 @@ class Environment:
         )
 
     @classmethod
-    def load(cls, path: str | PathLike[str], layout: Layout = "auto") -> Environment:
-        """Read .exr, .hdr or .png; crosses and angular maps are resampled at matching resolution.
+    def load(cls, path: str | PathLike[str], layout: Layout = "auto", layer: str | None = None) -> Environment:
+        """Read .exr, .hdr or .png; what is not lat-long is resampled at matching resolution.
+
+        layout: of the sphere in the image (`ptt.light.layouts.Layout`), at any width and height
+        layer: of an .exr with several parts or layers, the one to read
 
         Negative values become 0, with one warning that counts them. Grey becomes RGB; alpha is dropped.
 
         Raises:
-            ValueError: the file cannot be read, is not finite, or has another shape than `layout` asks for.
+            ValueError: the file cannot be read, is not finite, or its width and height do not tell the layout.
         """
-        image = read_image(path)
+        image = read_image(path, layer)
         image = image[..., :3] if image.shape[2] > 2 else image[..., :1].expand(-1, -1, 3)
         _checked_largest(str(path), image)
         negative = int((image < 0).sum())

@@ -28,7 +28,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from ptt.io.images import from_srgb
+from ptt.io.colour import from_srgb
 from ptt.materials.material import Material, blinn_phong
 from ptt.ops import mesh
 from ptt.scene.parts import Part, join, transformed

@@ -1,6 +1,6 @@
 """Scene files: a few lines of TOML that place meshes and simple shapes, and give them materials.
 
-    environment = "hdri/uffizi.hdr"
+    environment = "hdri/uffizi.hdr"           # or { file = "probe.hdr", layout = "angular", layer = "sky" }
     hidden = false                            # drop triangles that see no way out, as those inside of a machine
     [camera]                                  # optional; as `Camera`
     eye = [0.3, 0.3, 0.9]
@@ -87,11 +87,21 @@ def _load_toml(path: Path) -> Scene:
     environment = None
     camera = None
     if "environment" in table:
-        environment = Environment.load(find(table["environment"], path.parent))
+        environment = _environment(table["environment"], path.parent)
     if "camera" in table:
         camera = _call("camera", Camera, table["camera"])
     scene = Scene.from_parts([_region(t, path.parent) for t in table["region"]], environment, camera)
     return scene if _value_of(table, "hidden", bool, True) else without_hidden(scene)
+
+
+def _environment(given: Any, folder: Path) -> Environment:
+    """The light of a file's name, or of a table with the arguments of `Environment.load`."""
+    table = {"file": given} if isinstance(given, str) else given
+    if not isinstance(table, dict) or not isinstance(table.get("file"), str):
+        raise ValueError(f"environment must be a file, or a table with a file, got {given!r}")
+    _check_keys("environment", table, ("file", "layout", "layer"))
+    options = {key: value for key, value in table.items() if key != "file"}
+    return Environment.load(find(table["file"], folder), **options)
 
 
 def find(name: str, folder: Path) -> Path:

@@ -53,7 +53,8 @@ def test_heights() -> None:
 def test_saved_map_is_read_back(tmp_path: object) -> None:
     normals = ptt.BumpMap(torch.rand(8, 8, 3, generator=torch.Generator().manual_seed(0)) + 0.2).normals
     path = f"{tmp_path}/bump.png"
-    from ptt.io.images import from_srgb, write_image
+    from ptt.io.colour import from_srgb
+    from ptt.io.images import write_image
 
     write_image(path, from_srgb((normals + 1) / 2))
     torch.testing.assert_close(ptt.BumpMap.load(path).normals, normals, rtol=0, atol=0.01)

@@ -11,7 +11,8 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
-from ptt.io.images import from_srgb, read_image, to_srgb, write_image
+from ptt.io.colour import from_srgb, to_srgb
+from ptt.io.images import read_image, write_image
 
 
 def image(channels: int = 3) -> torch.Tensor:
@@ -47,7 +48,7 @@ def test_exr_channels_of_others(tmp_path: Path, names: str, kind: type) -> None:
 
 def test_exr_without_colour_is_refused(tmp_path: Path) -> None:
     OpenEXR.File({}, {"Z": np.ones((2, 2), np.float32)}).write(str(tmp_path / "a.exr"))
-    with pytest.raises(ValueError, match=r"a\.exr must have channels R, G, B or Y, got Z"):
+    with pytest.raises(ValueError, match=r"a\.exr: it must have channels R, G, B or Y, got Z"):
         read_image(tmp_path / "a.exr")
 
 
@@ -107,7 +108,7 @@ def test_missing_broken_and_cut_files_are_refused_by_name(tmp_path: Path, ending
 
 
 def test_bad_requests_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"\.exr, \.hdr, \.png, got a\.tiff"):
+    with pytest.raises(ValueError, match=r"\.exr, \.hdr, \.pic, \.png, got a\.tiff"):
         read_image("a.tiff")
     for shape in ((4, 4), (4, 4, 2), (0, 4, 3)):
         with pytest.raises(ValueError, match="image must have shape"):

@@ -17,7 +17,8 @@ from PIL import Image
 from torch import Tensor
 
 import ptt
-from ptt.io.images import from_srgb
+from ptt.io.colour import from_srgb
+from ptt.io.images import write_image
 from ptt.materials.material import lambert
 from ptt.materials.shapes import BlinnPhong, CookTorrance
 from ptt.ops import mesh
@@ -601,6 +602,16 @@ def test_scene_file_picks_parts_and_textures(data_dir: Path, tmp_path: Path, mon
             ptt.load_scene(_toml(tmp_path, differing.replace("body_9", "Piston_123-844_0_Parts_2")))
         with pytest.raises(ValueError, match="unknown 'body_99'; valid are Piston"):
             ptt.load_scene(_toml(tmp_path, text.replace("body_9", "body_99")))
+
+
+def test_a_scene_file_says_how_its_map_is_laid_out(tmp_path: Path) -> None:
+    write_image(tmp_path / "probe.exr", torch.ones(8, 8, 3))
+    for layout in ("angular", "octahedral"):
+        scene = ptt.load_scene(_toml(tmp_path, f'environment = {{ file = "probe.exr", layout = "{layout}" }}\n' + BOX))
+        assert scene.environment is not None
+    for given, reason in (('"probe.exr"', "layout= one of"), ("3", "a table with a file"), ("{ map = 1 }", "a file")):
+        with pytest.raises(ValueError, match=reason):
+            ptt.load_scene(_toml(tmp_path, f"environment = {given}\n" + BOX))
 
 
 @pytest.mark.filterwarnings("ignore:mesh repaired")

@@ -1,0 +1,159 @@
+"""OpenEXR images: windows, chromaticities, luminance and chroma, several parts and named layers."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from ptt.io import colour
+
+MOST_PIXELS = 1 << 28
+"""Of the display window: more is taken for damage."""
+COLOURS = (("R", "G", "B"), ("Y", "RY", "BY"), ("Y",))
+"""Sets of channels that are a picture, the best first."""
+
+
+class Layer(NamedTuple):
+    """A picture of a file.
+
+    name: of the part, or what stands before the last dot of its channels; "" for the only one that has neither
+    part: as OpenEXR gives it
+    channels: by what stands after the last dot
+    """
+
+    name: str
+    part: Any
+    channels: dict[str, Any]
+
+    @property
+    def colours(self) -> tuple[str, ...]:
+        """The channels that hold its colours; none where it is no picture."""
+        return next((names for names in COLOURS if self.channels.keys() >= set(names)), ())
+
+
+def read(path: Path, layer: str | None = None) -> NDArray[np.float32]:
+    """Linear values (height, width, 1..4) of the display window, by Rec. 709's primaries; black outside of the data.
+
+    layer: the part or layer to read; default: the first, with a warning that names the others
+
+    Raises:
+        ValueError: the file is missing, damaged or deep, or has no such layer; it is a cube map.
+    """
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            parts = list(file.parts)
+            if deep := [part.name() for part in parts if part.type() in (OpenEXR.deepscanline, OpenEXR.deeptile)]:
+                raise ValueError(f"deep images are not supported: {', '.join(deep) or 'its only part'}")
+            return _displayed(_chosen(parts, layer, path.name))
+    except (RuntimeError, ValueError, KeyError) as error:
+        raise ValueError(f"cannot read {path}: {error}") from error
+
+
+def _chosen(parts: Iterable[Any], wanted: str | None, name: str) -> Layer:
+    """The layer to read."""
+    every = [layer for part in parts for layer in _layers(part)]
+    pictures = [layer for layer in every if layer.colours]
+    names = [layer.name for layer in pictures]
+    if not pictures:
+        found = sorted({f"{layer.name}.{channel}".strip(".") for layer in every for channel in layer.channels})
+        raise ValueError(f"it must have channels R, G, B or Y, got {', '.join(found)}")
+    if wanted is not None:
+        if wanted not in names:
+            raise ValueError(f"it has no layer {wanted!r}; its layers are {', '.join(map(repr, names))}")
+        return pictures[names.index(wanted)]
+    if len(pictures) > 1:
+        others = ", ".join(map(repr, names[1:]))
+        warnings.warn(f"{name}: layer {names[0]!r} was read; layer= chooses {others}", UserWarning, stacklevel=5)
+    return pictures[0]
+
+
+def _layers(part: Any) -> list[Layer]:
+    """The layers of a part; its plain channels first."""
+    found: dict[str, dict[str, Any]] = {}
+    for name, channel in part.channels.items():
+        prefix, _, last = name.rpartition(".")
+        found.setdefault(prefix, {})[last] = channel
+    of_part = part.name()
+    names = {prefix: ".".join(dict.fromkeys(filter(None, (of_part, prefix)))) for prefix in sorted(found)}
+    return [Layer(name, part, found[prefix]) for prefix, name in names.items()]
+
+
+def _displayed(layer: Layer) -> NDArray[np.float32]:
+    """The pixels of the display window."""
+    header = layer.part.header
+    if header.get("envmap") == OpenEXR.ENVMAP_CUBE:
+        raise ValueError("it is a cube map in OpenEXR's own layout: convert it to lat-long (exrenvmap -latlong)")
+    (left, top), (right, bottom) = header["dataWindow"]
+    (x, y), (x_end, y_end) = header["displayWindow"]
+    data = _pixels(layer, bottom - top + 1, right - left + 1)
+    if (x, y, x_end, y_end) == (left, top, right, bottom):
+        return data
+    height, width = int(y_end) - int(y) + 1, int(x_end) - int(x) + 1
+    if not 0 < height * width <= MOST_PIXELS or min(height, width) < 1:
+        raise ValueError(f"its display window of {width} x {height} pixels is damaged")
+    inside = data[max(0, y - top) : max(0, y_end - top + 1), max(0, x - left) : max(0, x_end - left + 1)]
+    if not inside.size:
+        raise ValueError("its data window lies outside of its display window")
+    shown = np.zeros((height, width, data.shape[2]), np.float32)
+    row, column = max(0, top - y), max(0, left - x)
+    shown[row : row + inside.shape[0], column : column + inside.shape[1]] = inside
+    return shown
+
+
+def _pixels(layer: Layer, height: int, width: int) -> NDArray[np.float32]:
+    """Linear values (height, width, channels) of the data window, alpha last."""
+    names = layer.colours
+    planes = {name: _full(layer.channels[name], height, width) for name in (*names, "A") if name in layer.channels}
+    primaries = layer.part.header.get("chromaticities", colour.REC_709)
+    values = np.stack([planes[name] for name in names], -1)
+    if names == COLOURS[1]:
+        values = _from_chroma(values, primaries)
+    if len(names) == 3 and not np.allclose(primaries, colour.REC_709, atol=1e-3):
+        values = values @ colour.to_rec_709(primaries).T.astype(np.float32)
+    return np.concatenate((values, planes["A"][..., None]), -1) if "A" in planes else values
+
+
+def _full(channel: Any, height: int, width: int) -> NDArray[np.float32]:
+    """A channel at every pixel; between those that it has, linear."""
+    plane = channel.pixels.astype(np.float32)
+    for axis, step, count in ((0, channel.ySampling, height), (1, channel.xSampling, width)):
+        if step > 1:
+            at = np.minimum(np.arange(count) / step, plane.shape[axis] - 1)
+            below = at.astype(np.int64)
+            above = np.minimum(below + 1, plane.shape[axis] - 1)
+            share = (at - below).astype(np.float32).reshape((-1, 1) if axis == 0 else (1, -1))
+            plane = plane.take(below, axis) * (1 - share) + plane.take(above, axis) * share
+    full: NDArray[np.float32] = plane
+    return full
+
+
+def _from_chroma(values: NDArray[np.float32], primaries: Any) -> NDArray[np.float32]:
+    """RGB of luminance and chroma (..., 3): Y, (R - Y) / Y and (B - Y) / Y."""
+    y, ry, by = np.moveaxis(values, -1, 0)
+    weights = colour.to_xyz(primaries)[1]
+    red = (ry + 1) * y
+    blue = (by + 1) * y
+    green = (y - weights[0] * red - weights[2] * blue) / weights[1]
+    colours: NDArray[np.float32] = np.stack((red, green, blue), -1).astype(np.float32)
+    return colours
+
+
+def write(path: Path, pixels: NDArray[np.float32]) -> None:
+    """Write linear values (height, width, 1 | 3 | 4), in 32 bits.
+
+    Raises:
+        ValueError: the file cannot be written.
+    """
+    name = {1: "Y", 3: "RGB", 4: "RGBA"}[pixels.shape[2]]
+    planes = {name: pixels if len(name) > 1 else np.ascontiguousarray(pixels[..., 0])}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    try:
+        OpenEXR.File(header, planes).write(str(path))
+    except RuntimeError as error:
+        raise ValueError(f"cannot write {path}: {error}") from error
