@@ -91,10 +91,10 @@ def chosen_space(name: Space, materials: Mapping[str, Material]) -> BRDFSpace:
     """
     if name != "auto":
         return SPACES[name]()
-    shapes = [material.shape for material in materials.values() if material.shape is not None]
+    shapes = [highlight.shape for material in materials.values() for highlight in material.highlights]
     models = sorted({shape.model for shape in shapes}) or [BlinnPhong.model]
     if len(models) > 1 or models[0] not in OF_MODEL:
-        found = ", ".join(f"{name} {m.shape.model}" for name, m in materials.items() if m.shape is not None)
+        found = ", ".join(f"{name} {h.shape.model}" for name, m in materials.items() for h in m.highlights)
         raise ValueError(
             f"a space holds one model of {', '.join(OF_MODEL)}; the scene has {found}: change its materials"
         )

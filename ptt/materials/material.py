@@ -1,4 +1,4 @@
-"""Materials: a diffuse and a specular colour around a monochrome shape."""
+"""Materials: a diffuse colour, and highlights, each a colour around a monochrome shape."""
 
 from __future__ import annotations
 
@@ -18,14 +18,26 @@ from ptt.ops import brdf
 Colour = float | Sequence[float] | Tensor
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
+class Highlight:
+    """colour * shape(wi, wo), in 1/sr, per colour; colour (3,): >= 0, and a number stands for grey."""
+
+    colour: Tensor
+    shape: Shape
+
+    def __init__(self, colour: Colour, shape: Shape) -> None:
+        object.__setattr__(self, "colour", _colour("specular", colour, math.inf))
+        object.__setattr__(self, "shape", shape)
+
+
+@dataclass(frozen=True, eq=False, init=False)
 class Material:
-    """f(wi, wo) = diffuse / pi + specular * shape(wi, wo), in 1/sr, per colour.
+    """f(wi, wo) = diffuse / pi + the sum of highlights, colour * shape(wi, wo), in 1/sr, per colour.
 
     diffuse (3,): albedo, 0..1, multiplied by the base colour of the surface
-    specular (3,): weight of the shape, >= 0
-    shape: one of `ptt.materials.shapes`, or None for a Lambertian surface
+    highlights: what is around it, most materials have one, Lambertian ones none
 
+    Material(diffuse, specular, shape, *more) has a highlight of a colour and one of `ptt.materials.shapes`, and more.
     Numbers stand for grey. Tensors that require gradients are kept, so a loss on the radiance reaches them.
 
     Raises:
@@ -33,22 +45,59 @@ class Material:
     """
 
     diffuse: Tensor
-    specular: Tensor
-    shape: Shape | None = None
+    highlights: tuple[Highlight, ...]
 
-    def __init__(self, diffuse: Colour = 0.5, specular: Colour = 0.0, shape: Shape | None = None) -> None:
-        object.__setattr__(self, "diffuse", _colour("diffuse", diffuse, 1.0))
-        object.__setattr__(self, "specular", _colour("specular", specular, math.inf))
-        object.__setattr__(self, "shape", shape)
-        if shape is None and bool((self.specular > 0).any()):
+    def __init__(
+        self, diffuse: Colour = 0.5, specular: Colour = 0.0, shape: Shape | None = None, *more: Highlight
+    ) -> None:
+        if shape is None and bool((_colour("specular", specular, math.inf) > 0).any()):
             raise ValueError("specular > 0 needs a shape, such as BlinnPhong(exponent) or GGX(f0, roughness)")
+        first = () if shape is None else (Highlight(specular, shape),)
+        object.__setattr__(self, "diffuse", _colour("diffuse", diffuse, 1.0))
+        object.__setattr__(self, "highlights", (*first, *more))
+
+    @property
+    def specular(self) -> Tensor:
+        """The colour (3,) of the highlight, 0 where there is none.
+
+        Raises:
+            ValueError: there are several.
+        """
+        return self._only.colour if self.highlights else torch.zeros(3)
+
+    @property
+    def shape(self) -> Shape | None:
+        """The shape of the highlight, None where there is none.
+
+        Raises:
+            ValueError: there are several.
+        """
+        return self._only.shape if self.highlights else None
+
+    @property
+    def _only(self) -> Highlight:
+        if len(self.highlights) > 1:
+            raise ValueError(f"the material has {len(self.highlights)} highlights: see Material.highlights")
+        return self.highlights[0]
+
+    @property
+    def isotropic(self) -> bool:
+        """Tell whether a turn about the normal changes nothing."""
+        return all(highlight.shape.isotropic for highlight in self.highlights)
+
+    @property
+    def terms(self) -> tuple[Material, ...]:
+        """Materials with a highlight at most, whose sum it is; the first has the diffuse part."""
+        first, *others = self.highlights or (None,)
+        alone = Material(self.diffuse) if first is None else Material(self.diffuse, first.colour, first.shape)
+        return (alone, *(Material(0.0, h.colour, h.shape) for h in others if h is not None))
 
     def evaluate(self, wi: Tensor, wo: Tensor, colour: Tensor | None = None) -> Tensor:
         """The BRDF (..., 3) [1/sr] for local unit directions (..., 3); colour (..., 3) multiplies the diffuse part."""
         diffuse = self.diffuse if colour is None else self.diffuse * colour
         value = brdf.lambert(wi, wo)[..., None] * diffuse.to(wi)
-        if self.shape is not None:
-            value = value + self.shape.evaluate(wi, wo)[..., None] * self.specular.to(wi)
+        for highlight in self.highlights:
+            value = value + highlight.shape.evaluate(wi, wo)[..., None] * highlight.colour.to(wi)
         return value
 
 
@@ -82,9 +131,9 @@ def blinn_phong(diffuse: Colour = 0.5, specular: Colour = 0.5, exponent: Number 
     return Material(diffuse, specular, BlinnPhong(exponent))
 
 
-def cook_torrance(diffuse: Colour = 0.5, specular: Colour = 0.5, f0: Number = 0.1, m: Number = 0.2) -> Material:
-    """A microfacet material in the convention of Ngan et al. 2005."""
-    return Material(diffuse, specular, CookTorrance(f0, m))
+def cook_torrance(diffuse: Colour = 0.5, specular: Colour = 0.5, f0: Colour = 0.1, m: Number = 0.2) -> Material:
+    """A microfacet material in the convention of Ngan et al. 2005; f0 may be a colour."""
+    return _schlick(diffuse, specular, f0, lambda reflectance: CookTorrance(reflectance, m))
 
 
 def ward(diffuse: Colour = 0.5, specular: Colour = 0.3, ax: Number = 0.2, ay: Number | None = None) -> Material:
@@ -92,9 +141,18 @@ def ward(diffuse: Colour = 0.5, specular: Colour = 0.3, ax: Number = 0.2, ay: Nu
     return Material(diffuse, specular, Ward(ax, ay))
 
 
-def ggx(diffuse: Colour = 0.5, specular: Colour = 1.0, f0: Number = 0.04, roughness: Number = 0.5) -> Material:
-    """Today's microfacet model: a dielectric with specular 1 and f0 0.04, a metal with diffuse 0 and f0 near 1."""
-    return Material(diffuse, specular, GGX(f0, roughness))
+def ggx(diffuse: Colour = 0.5, specular: Colour = 1.0, f0: Colour = 0.04, roughness: Number = 0.5) -> Material:
+    """Today's microfacet model: a dielectric with specular 1 and f0 0.04, a metal with diffuse 0 and a coloured f0."""
+    return _schlick(diffuse, specular, f0, lambda reflectance: GGX(reflectance, roughness))
+
+
+def _schlick(diffuse: Colour, specular: Colour, f0: Colour, shape: Callable[[Number], Shape]) -> Material:
+    """A material of Schlick's reflectance in colour: f0 shape(1) + (1 - f0) shape(0), since it is linear in f0."""
+    if torch.as_tensor(f0).numel() == 1:
+        return Material(diffuse, specular, shape(f0))  # type: ignore[arg-type]
+    f0 = _colour("f0", f0, 1.0)
+    weight = _colour("specular", specular, math.inf)
+    return Material(diffuse, weight * f0, shape(1.0), Highlight(weight * (1 - f0), shape(0.0)))
 
 
 def materials_of_regions(own: Mapping[str, Any], given: Mapping[str, Any], mixed: bool = False) -> dict[str, Any]:
@@ -116,13 +174,15 @@ def materials_of_regions(own: Mapping[str, Any], given: Mapping[str, Any], mixed
 
 def to_config(material: Material) -> dict[str, Any]:
     """A material as plain values, e.g. {"model": "blinn-phong", "diffuse": [..], "specular": [..], "exponent": 20}."""
-    if material.shape is None:
-        return {"model": "lambert", "diffuse": material.diffuse.tolist()}
-    weights = {"diffuse": material.diffuse.tolist(), "specular": material.specular.tolist()}
-    return shapes.to_config(material.shape) | weights
+    diffuse = {"diffuse": material.diffuse.tolist()}
+    highlights = [shapes.to_config(h.shape) | {"specular": h.colour.tolist()} for h in material.highlights]
+    if not highlights:
+        return {"model": "lambert"} | diffuse
+    return highlights[0] | diffuse if len(highlights) == 1 else {"model": SEVERAL, "highlights": highlights} | diffuse
 
 
-# The function that makes a material of each model, by the name in a config
+SEVERAL = "highlights"  # the model of materials with several
+# The function that makes a material of each other model, by the name in a config
 MODELS: dict[str, Callable[..., Material]] = {
     "lambert": lambert,
     BlinnPhong.model: blinn_phong,
@@ -140,6 +200,9 @@ def from_config(config: Mapping[str, Any]) -> Material:
     """
     values = dict(config)
     model = values.pop("model", None)
+    if model == SEVERAL:
+        first, *more = (from_config(highlight).highlights[0] for highlight in values["highlights"])
+        return Material(values.get("diffuse", 0.5), first.colour, first.shape, *more)
     if model in (shapes.Named.model, shapes.Blend.model):
         diffuse = values.pop("diffuse", 0.5)
         specular = values.pop("specular", 0.5)

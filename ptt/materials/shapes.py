@@ -31,7 +31,7 @@ class BlinnPhong:
     exponent: Number
 
     def __post_init__(self) -> None:
-        check("exponent", self.exponent, 0.0, 1e6)
+        check_number("exponent", self.exponent, 0.0, 1e6)
 
     def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
         return brdf.blinn_phong(wi, wo, self.exponent)
@@ -47,8 +47,8 @@ class CookTorrance:
     m: Number
 
     def __post_init__(self) -> None:
-        check("f0", self.f0, 0.0, 1.0)
-        check("m", self.m, 1e-4, 1.0)
+        check_number("f0", self.f0, 0.0, 1.0)
+        check_number("m", self.m, 1e-4, 1.0)
 
     def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
         return brdf.cook_torrance(wi, wo, self.f0, self.m)
@@ -66,9 +66,9 @@ class Ward:
     ay: Number | None = None
 
     def __post_init__(self) -> None:
-        check("ax", self.ax, 1e-4, 1.0)
+        check_number("ax", self.ax, 1e-4, 1.0)
         if self.ay is not None:
-            check("ay", self.ay, 1e-4, 1.0)
+            check_number("ay", self.ay, 1e-4, 1.0)
 
     @property
     def isotropic(self) -> bool:
@@ -88,8 +88,8 @@ class GGX:
     roughness: Number
 
     def __post_init__(self) -> None:
-        check("f0", self.f0, 0.0, 1.0)
-        check("roughness", self.roughness, 1e-4, 1.0)
+        check_number("f0", self.f0, 0.0, 1.0)
+        check_number("roughness", self.roughness, 1e-4, 1.0)
 
     def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
         return brdf.ggx(wi, wo, self.f0, self.roughness)
@@ -241,6 +241,15 @@ def check(name: str, value: Number | Sequence[float], low: float, high: float) -
     if not (low * (1 - rounded) <= least and most <= high * (1 + rounded) and math.isfinite(most)):
         bounds = f"at least {low:g}" if high == math.inf else f"in [{low:g}, {high:g}]"
         raise ValueError(f"{name} must be finite and {bounds}, got {v.tolist()}")
+
+
+def check_number(name: str, value: Number, low: float, high: float) -> None:
+    """Raise ValueError unless a value is one number, finite and within the bounds."""
+    if torch.as_tensor(value).numel() != 1:
+        raise ValueError(
+            f"{name} must be one number, got {value}: a colour is for diffuse, specular and f0 of a material"
+        )
+    check(name, value, low, high)
 
 
 def _blend(shapes: Sequence[Mapping[str, Any]], weights: Sequence[float]) -> Blend:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import difflib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from importlib import resources
@@ -206,6 +206,25 @@ class BRDFSpace:
             raise ValueError(f"the model's space holds {self._models} shapes, got {shape.model}")
         weights = self._weights(shape)
         return torch.zeros(len(self.samples), dtype=torch.float64).index_put((self._rows,), weights)
+
+    def coloured(self, material: Material) -> Tensor:
+        """Weights (h, 3) of the samples, float64, that interpolate what a material has around its diffuse part.
+
+        Differentiable in the colours of its highlights and in the parameters of their shapes.
+
+        Raises:
+            ValueError: as `coordinates`.
+        """
+        return self.mixed(self.highlights(material))
+
+    def highlights(self, material: Material) -> list[tuple[Tensor, Tensor]]:
+        """The coordinates (h,) and the colour (3,) of each highlight of a material."""
+        return [(self.coordinates(highlight.shape), highlight.colour) for highlight in material.highlights]
+
+    def mixed(self, highlights: Iterable[tuple[Tensor, Tensor]]) -> Tensor:
+        """Weights (h, 3) of the samples, of the coordinates and colours of highlights."""
+        parts = [weights[:, None] * colour.to(weights) for weights, colour in highlights]
+        return torch.stack(parts).sum(0) if parts else torch.zeros(len(self.samples), 3, dtype=torch.float64)
 
     def resolved(self, shape: Shape | Tensor) -> Tensor:
         """The coordinates (h,) of a shape; a tensor is taken for coordinates."""

@@ -96,9 +96,8 @@ class BRDFBasis(nn.Module):
 
     def coefficients(self, material: Material) -> Tensor:
         """H (1 + p, 3) of a material, which may lie between samples; differentiable in its weights and parameters."""
-        specular = material.specular.to(self.table)
-        row = self.table.new_zeros(self.table.shape[1]) if material.shape is None else self.of_shape(material.shape)
-        return torch.cat((material.diffuse.to(self.table)[None], row[:, None] * specular))
+        specular = self.table.T @ self.space.coloured(material).to(self.table)
+        return torch.cat((material.diffuse.to(self.table)[None], specular))
 
     def of_shape(self, shape: Shape | Tensor) -> Tensor:
         """Coefficients (p,) of a shape, or of its coordinates (h,) in the space."""

@@ -17,7 +17,7 @@ from ptt.materials.material import Material
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.receivers import Receivers
 
-OWN = -1  # the function of a fixed region's own shape
+OWN = -1  # the function of a fixed region's own highlight, or of a channel of its highlights where it has several
 
 
 class Slot(NamedTuple):
@@ -45,8 +45,9 @@ def slots_of(receivers: Receivers, functions: int) -> list[Slot]:
             found += [Slot(r, 0)] if grey else [Slot(r, 0, c) for c in range(3)]
         if editable:
             found += [Slot(r, p) for p in range(1, functions + 1)]
-        elif material.shape is not None and bool((material.specular > 0).any()):
-            found.append(Slot(r, OWN))
+        else:
+            shining = [h for h in material.highlights if bool((h.colour > 0).any())]
+            found += [Slot(r, OWN)] * (len(shining) == 1) + [Slot(r, OWN, c) for c in range(3) if len(shining) > 1]
     return found
 
 
@@ -57,20 +58,19 @@ def chosen(slots: Sequence[Slot], functions: int) -> tuple[Tensor, Tensor]:
     return torch.tensor(rows, dtype=torch.int64), torch.tensor(keep).reshape(-1, 3)
 
 
-def functions_of(basis: BRDFBasis, material: Material, shape: Tensor | None) -> Tensor:
-    """Coefficients (1 + p + 1, 3) of a material: of the diffuse function, those of the basis, and its own shape.
+def functions_of(basis: BRDFBasis, material: Material, coloured: Tensor) -> Tensor:
+    """Coefficients (1 + p + 1, 3) of a material: of the diffuse function, those of the basis, and OWN.
 
-    shape: coordinates (h,) of its shape in the space, None where it has none
+    coloured (h, 3): its coordinates in the space (`BRDFSpace.coloured`)
     """
     diffuse = material.diffuse.to(basis.table)
-    specular = material.specular.to(basis.table)
-    row = basis.table.new_zeros(basis.table.shape[1]) if shape is None else basis.of_shape(shape)
-    return torch.cat((diffuse[None], row[:, None] * specular, specular[None]))
+    shining = [h.colour for h in material.highlights if bool((h.colour > 0).any())]
+    own = shining[0].to(diffuse) if len(shining) == 1 else torch.ones_like(diffuse)
+    return torch.cat((diffuse[None], basis.table.T @ coloured.to(basis.table), own[None]))
 
 
 def coefficients(slots: Sequence[Slot], basis: BRDFBasis, materials: Sequence[Material]) -> Tensor:
     """H (q, 3) of slots, for materials in the order of the regions; differentiable in their weights and parameters."""
-    shapes = [basis.space.coordinates(m.shape) if m.shape else None for m in materials]
-    functions = [functions_of(basis, material, shape) for material, shape in zip(materials, shapes, strict=True)]
+    functions = [functions_of(basis, material, basis.space.coloured(material)) for material in materials]
     rows, keep = chosen(slots, basis.table.shape[1])
     return torch.cat(functions)[rows] * keep.to(basis.table)

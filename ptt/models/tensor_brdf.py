@@ -228,17 +228,15 @@ class TensorBRDF(nn.Module):
         mixture = self.space.resolved(shape).to(self.peaks)
         return (mixture @ self.peaks.flatten(1)).reshape(self.peaks.shape[1:])
 
-    def coupling(self, material: Material, shape: Tensor | None = None) -> Tensor:
-        """M (3, 1 + o, 1 + i) of a material: diffuse to diffuse, and its specular colour times `matrix`.
+    def coupling(self, material: Material, coloured: Tensor | None = None) -> Tensor:
+        """M (3, 1 + o, 1 + i) of a material: diffuse to diffuse, and `matrix` of its highlights, in their colours.
 
-        shape: the coordinates (h,) of the material's shape, where they are known
+        coloured: its coordinates (h, 3) in the space (`BRDFSpace.coloured`), where they are known
         """
         diffuse = material.diffuse.to(self.core)[:, None, None] / math.pi
-        if material.shape is None:
-            specular = self.core.new_zeros(3, *self.core.shape[1:])
-        else:
-            matrix = self.matrix(material.shape if shape is None else shape)
-            specular = material.specular.to(self.core)[:, None, None] * matrix
+        coloured = self.space.coloured(material) if coloured is None else coloured
+        mixture = coloured.to(self.core).T @ self.u_h
+        specular = (mixture @ self.core.flatten(1)).unflatten(1, self.core.shape[1:])
         top = nn.functional.pad(diffuse, (0, self.core.shape[2]))
         return torch.cat((top, nn.functional.pad(specular, (1, 0))), dim=1)
 

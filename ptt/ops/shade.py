@@ -1,11 +1,11 @@
 """Shading by triple products on the triangles of a level (Ma et al. 2006, sections 3.3 and 4.2).
 
     B[p, c] = 20 / n sum over t of  L[p, c, t] V[p, t] F[p, c, t]
-    F[p, c] = sum over i of  a[i, p] (D[i, r, c] colour[p, c] F_0 + S[i, r, c] G[i, p])
+    F[p, c] = sum over i of  a[i, p, c] (D[i, r, c] colour[p, c] F_0 + S[i, r, c] G[i, p])
 
 The three functions are interpolated at every point, and then multiplied: L between the frames that light was rotated
 into, V between vertices or texels, G, the specular BRDF, between directions of view. F_0 is Lambert's BRDF; D and S are
-the weights of the region r of the point, which may have two materials (i), a[1, p] of the second.
+the weights of the region r of the point for each of its coats i, and a[i, p, c] how much of that there is.
 
 All in the frame of the point (`ops.local`), n values for each function: a level of `ops.geodesic`.
 """
@@ -41,7 +41,7 @@ class Functions(NamedTuple):
 
 
 class RegionCoats(NamedTuple):
-    """What r regions are coated with, i of them (1 or 2) on each.
+    """What r regions are coated with, i of them on each.
 
     diffuse, specular (i, r, c)
     first (i, r) int32: the row of `glossy` where the shape begins
@@ -56,7 +56,7 @@ class ShadedPoints(NamedTuple):
     """p points.
 
     light, seen, view: where their light, visibility and BRDF are found; the rows of `view` are those of the first shape
-    region (p,) int32, colour (p, c): the base colour; second (p,): how much of the region's second coat
+    region (p,) int32, colour (p, c): the base colour; shares (i, p, c): how much of each of the region's coats
     """
 
     light: Near
@@ -64,12 +64,14 @@ class ShadedPoints(NamedTuple):
     view: Near
     region: Tensor
     colour: Tensor
-    second: Tensor
+    shares: Tensor
 
     def part(self, first: int, end: int) -> ShadedPoints:
         """Points first..end-1."""
         light, seen, view = (Near(*(x[first:end] for x in near)) for near in self[:3])
-        return ShadedPoints(light, seen, view, *(x[first:end] for x in self[3:]))
+        return ShadedPoints(
+            light, seen, view, self.region[first:end], self.colour[first:end], self.shares[:, first:end]
+        )
 
 
 def shade(functions: Functions, coats: RegionCoats, at: ShadedPoints) -> Tensor:
@@ -84,11 +86,10 @@ def _shaded(functions: Functions, coats: RegionCoats, at: ShadedPoints) -> Tenso
     light, visibility, dull, glossy = functions
     region = at.region.long()
     factor = torch.zeros(())
-    for i, (diffuse, specular, first) in enumerate(zip(*coats, strict=True)):
-        share = at.second if i else 1 - at.second if len(coats.first) == 2 else torch.ones_like(at.second)
+    for diffuse, specular, first, share in zip(*coats, at.shares, strict=True):
         mirrored = at.view.mix(glossy.at(at.view.rows + first[region][:, None]))[:, None]
         coat = (diffuse[region] * at.colour)[..., None] * dull + specular[region][..., None] * mirrored
-        factor = factor.to(coat) + share[:, None, None] * coat
+        factor = factor.to(coat) + share[..., None] * coat
     visible = at.seen.mix(visibility[at.seen.rows].to(dull) / BYTE)[:, None]
     products: Tensor = at.light.mix(light.at(at.light.rows)) * visible * factor
     return products.sum(2) * (ROOTS / len(dull))

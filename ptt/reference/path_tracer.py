@@ -15,9 +15,9 @@ from tqdm import tqdm
 
 from ptt.light.environment import Environment
 from ptt.materials.material import Material
-from ptt.materials.shapes import GGX, BlinnPhong, CookTorrance, Ward, number
+from ptt.materials.shapes import GGX, BlinnPhong, CookTorrance, Shape, Ward, number
 from ptt.ops.raycast import Hits
-from ptt.reference.sampling import BeckmannLobe, GGXLobe, Mixture, PowerLobe
+from ptt.reference.sampling import BeckmannLobe, GGXLobe, Lobe, Mixture, PowerLobe
 from ptt.scene.scene import Scene
 
 BATCHES = 64  # of samples, where there are enough of them: the standard error then errs by 1 / sqrt(2 x 63) = 9 %
@@ -228,24 +228,33 @@ class PathTracer:
 
 
 def _mixture(material: Material) -> Mixture:
-    """The mixture that draws directions for a material: the lobe's share is about its part of the reflected light."""
-    match material.shape:
+    """The mixture that draws directions for a material: lobes' shares are about their parts of the reflected light."""
+    lobes: dict[Lobe, float] = {}
+    for highlight in material.highlights:
+        found = _lobe(highlight.shape)
+        if found is not None:
+            lobe, albedo = found
+            lobes[lobe] = lobes.get(lobe, 0.0) + albedo * number(highlight.colour.mean())
+    specular = sum(lobes.values())
+    share = min(max(specular / max(specular + number(material.diffuse.mean()), 1e-12), 0.1), 0.9)
+    total = max(specular, 1e-300)
+    return Mixture(
+        tuple(lobes), tuple(share * part / total if specular else share / len(lobes) for part in lobes.values())
+    )
+
+
+def _lobe(shape: Shape) -> tuple[Lobe, float] | None:
+    """The lobe that draws half vectors for a shape, and about its albedo; None for one that has none."""
+    match shape:
         case BlinnPhong(exponent):
-            return Mixture(PowerLobe(number(exponent)), _share(material, 1.0))
+            return PowerLobe(number(exponent)), 1.0
         case CookTorrance(f0, m):
-            return Mixture(BeckmannLobe(number(m)), _share(material, 4 / math.pi * max(number(f0), 0.1)))
+            return BeckmannLobe(number(m)), 4 / math.pi * max(number(f0), 0.1)
         case Ward(ax, ay):
-            return Mixture(BeckmannLobe(number(ax), number(ax if ay is None else ay)), _share(material, 1.0))
+            return BeckmannLobe(number(ax), number(ax if ay is None else ay)), 1.0
         case GGX(f0, roughness):
-            return Mixture(GGXLobe(number(roughness)), _share(material, max(number(f0), 0.1)))
-    return Mixture()
-
-
-def _share(material: Material, albedo: float) -> float:
-    """The share, in 0.1..0.9, of a specular lobe of about this albedo."""
-    specular = number(material.specular.mean()) * albedo
-    diffuse = number(material.diffuse.mean())
-    return min(max(specular / max(specular + diffuse, 1e-12), 0.1), 0.9)
+            return GGXLobe(number(roughness)), max(number(f0), 0.1)
+    return None
 
 
 def _passes(n: int, batches: int, capacity: int) -> Iterator[tuple[slice, int]]:

@@ -1,14 +1,14 @@
 """Random directions with known densities, in the local frame (z is the normal); pure functions of uniform numbers.
 
-A `Mixture` draws from the cosine hemisphere or, with probability `share`, reflects the outgoing direction about a
-half vector drawn from a lobe. Densities are per solid angle [1/sr], over the whole sphere: a reflected direction
-may lie below the horizon, where BRDFs are zero. Laws, for every mixture and every wo above the horizon:
+A `Mixture` draws from the cosine hemisphere or reflects the outgoing direction about a half vector drawn from a lobe.
+Densities are per solid angle [1/sr], over the whole sphere: a reflected direction may lie below the horizon, where
+BRDFs are zero. Laws, for every mixture and every wo above the horizon:
 
 - the density integrates to 1 over the sphere
 - directions drawn by `sample` have that density
 
 Example:
-    >>> mixture = Mixture(PowerLobe(100.0), share=0.5)
+    >>> mixture = Mixture((PowerLobe(100.0),), (0.5,))
     >>> wo = torch.tensor([[0.0, 0.6, 0.8]])
     >>> wi = mixture.sample(torch.tensor([[0.2, 0.0, 0.0]]), wo)  # reflected about the normal itself
     >>> [round(c, 6) for c in wi[0].tolist()]
@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import accumulate
 
 import torch
 from torch import Tensor
@@ -109,24 +110,24 @@ Lobe = PowerLobe | BeckmannLobe | GGXLobe
 
 @dataclass(frozen=True)
 class Mixture:
-    """The cosine hemisphere, and with probability `share` (0..1) reflection about half vectors from `lobe`."""
+    """The cosine hemisphere, and with probability `shares[k]` reflection about half vectors from `lobes[k]`."""
 
-    lobe: Lobe | None = None
-    share: float = 0.0
+    lobes: tuple[Lobe, ...] = ()
+    shares: tuple[float, ...] = ()
 
     def sample(self, u: Tensor, wo: Tensor) -> Tensor:
         """Unit directions wi (n, 3) for wo (n, 3); u (n, 3) uniform in [0, 1): the first chooses, the others place."""
-        matt = cosine_hemisphere(u[:, 1:])
-        if self.lobe is None:
-            return matt
-        return torch.where(u[:, :1] < self.share, reflect(wo, self.lobe.sample(u[:, 1:])), matt)
+        wi = cosine_hemisphere(u[:, 1:])
+        for lobe, end in reversed(list(zip(self.lobes, accumulate(self.shares), strict=True))):
+            wi = torch.where(u[:, :1] < end, reflect(wo, lobe.sample(u[:, 1:])), wi)
+        return wi
 
     def density(self, wi: Tensor, wo: Tensor) -> Tensor:
         """Density (n,) [1/sr] of wi (n, 3) for wo (n, 3)."""
-        matt = cosine_density(wi)
-        if self.lobe is None:
-            return matt
-        return (1 - self.share) * matt + self.share * reflected_density(self.lobe, wi, wo)
+        density = (1 - sum(self.shares)) * cosine_density(wi)
+        for lobe, share in zip(self.lobes, self.shares, strict=True):
+            density = density + share * reflected_density(lobe, wi, wo)
+        return density
 
 
 def reflect(wo: Tensor, h: Tensor) -> Tensor:

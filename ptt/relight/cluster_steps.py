@@ -46,20 +46,30 @@ class MaterialLobes(NamedTuple):
 
 
 class RegionMaterial(NamedTuple):
-    """A region's material: its part of H (1 + p + 1, c), M (c, 1 + o, 1 + i), its lobes."""
+    """A region's material: its part of H (1 + p + 1, c), M (c, 1 + o, 1 + i), the lobes of its highlights."""
 
     functions: Tensor
     coupling: Tensor
-    lobes: MaterialLobes | None
+    lobes: list[MaterialLobes]
+
+
+class MoreLobes(NamedTuple):
+    """The lobes of one more highlight of a region, by its number, and what arrives there, 0 and I (b, c, 1 + s, w)."""
+
+    region: int
+    sent: OutgoingLight
+    lobes: LitLobes
 
 
 class ClusterExitant(NamedTuple):
-    """With materials: of every region its points, Q and I (b, c, 1 + o + s, w), and its lobes; V (cells, o)."""
+    """With materials: of every region its points, Q and I (b, c, 1 + o + s, w), and its first lobes; V (cells, o); the
+    lobes of further highlights."""
 
     surfaces: list[SurfaceBlocks]
     sent: list[OutgoingLight]
     lobes: list[LitLobes | None]
     outgoing: Tensor
+    more: list[MoreLobes]
 
 
 @in_python
@@ -161,22 +171,22 @@ class ClusterSteps(nn.Module):
 
     def _material(self, material: Material) -> RegionMaterial:
         brdf = self.model.brdf
-        shape = None if material.shape is None else brdf.space.coordinates(material.shape)
-        functions = slots.functions_of(self.basis, material, shape)
-        coupling = brdf.coupling(material, shape)
-        lobes = None if shape is None or not brdf.angles else self._lobes(shape, material.specular)
-        return RegionMaterial(functions, coupling, lobes)
+        highlights = brdf.space.highlights(material)
+        coloured = brdf.space.mixed(highlights)
+        lobes = [self._lobes(*highlight) for highlight in highlights] if brdf.angles else []
+        functions = slots.functions_of(self.basis, material, coloured)
+        return RegionMaterial(functions, brdf.coupling(material, coloured), [one for one in lobes if one is not None])
 
-    def _lobes(self, shape: Tensor, specular: Tensor) -> MaterialLobes | None:
+    def _lobes(self, coordinates: Tensor, colour: Tensor) -> MaterialLobes | None:
         """The lobes of a shape, by its coordinates in the space; None where all are dull."""
         brdf = self.model.brdf
-        tables = brdf.lobe_tables(shape)
+        tables = brdf.lobe_tables(coordinates)
         which = torch.nonzero(tables.detach().abs().amax((1, 2)) > DULL)[:, 0]
         if not len(which):
             return None
         rho = tables[which].flatten(1).T.contiguous()
         axes = brdf.axes[:, which].flatten(0, 1).T.contiguous()
-        return MaterialLobes(which, rho, axes, specular.to(rho), self.blurs[which])
+        return MaterialLobes(which, rho, axes, colour.to(rho), self.blurs[which])
 
     @uncompiled
     def exitant(self, light: ClusterLight, materials: Sequence[Material]) -> ClusterExitant:
@@ -189,30 +199,34 @@ class ClusterSteps(nn.Module):
         slots = [points.slots for points in self.points]
         pairs = [points.pairs for points in self.points]
         h = slot_weights(functions, self.rows, self.keep, slots, pairs)
-        each = zip(self.model.clustered, light.arriving, materials, h, strict=True)
+        each = list(zip(self.model.clustered, light.arriving, materials, h, strict=True))
         sent = [self._sent(region, arriving, material, *weights) for region, arriving, material, weights in each]
-        lobes = [self._lit(material.lobes, light) for material in materials]
+        lobes = [self._lit(material.lobes[0], light) if material.lobes else None for material in materials]
+        more = []
+        for r, (region, arriving, material, weights) in enumerate(each):
+            if material.lobes[1:]:
+                dark = material._replace(coupling=torch.zeros_like(material.coupling[:, :1]))
+                arrived = self._sent(region, arriving, dark, *weights)
+                more += [MoreLobes(r, arrived, self._lit(other, light)) for other in material.lobes[1:]]
         surfaces = [
             SurfaceBlocks(points.position, points.frame, points.colour, region.cuts, region.place)
             for points, region in zip(self.points, self.model.clustered, strict=True)
         ]
-        return ClusterExitant(surfaces, sent, lobes, self.model.brdf.u_o.flatten(1).T.contiguous())
+        return ClusterExitant(surfaces, sent, lobes, self.model.brdf.u_o.flatten(1).T.contiguous(), more)
 
     def _sent(
         self, region: ClusteredTransfer, arriving: ArrivingLight, material: RegionMaterial, h: Tensor, pairs: Tensor
     ) -> OutgoingLight:
         """What the points of a region send out, of H (c, q) and its products (c, pairs)."""
         responses = Responses(self.to_factors, self.to_harmonics)
-        glossy = material.lobes is not None
+        glossy = bool(material.lobes)
         eigen = self._operations.eigen(arriving, h, pairs, material.coupling, responses, glossy)
         sent: OutgoingLight = self._operations.expand(eigen, region.weights, region.cluster)
         return sent
 
     @staticmethod
-    def _lit(lobes: MaterialLobes | None, light: ClusterLight) -> LitLobes | None:
+    def _lit(lobes: MaterialLobes, light: ClusterLight) -> LitLobes:
         """Lobes under a light."""
-        if lobes is None:
-            return None
         maps = light.maps if len(lobes.which) == len(light.maps) else light.maps[lobes.which]
         return LitLobes(lobes.which, lobes.rho, lobes.axes, lobes.specular, maps, light.turn, lobes.blurs)
 
@@ -223,7 +237,13 @@ class ClusterSteps(nn.Module):
             eyes = [region.in_line(eye[own]) for region, own in zip(self.model.clustered, self._rows(), strict=True)]
         regions = map(ViewedRegion, exitant.surfaces, eyes, exitant.sent, exitant.lobes)
         radiance: Tensor = self._operations.view(list(regions), exitant.outgoing)
-        return radiance
+        if not exitant.more:
+            return radiance
+        parts = list(radiance.split([len(surface.place) for surface in exitant.surfaces]))
+        for r, arrived, lobes in exitant.more:
+            seen = ViewedRegion(exitant.surfaces[r]._replace(colour=None), eyes[r], arrived, lobes)
+            parts[r] = parts[r] + self._operations.view([seen], exitant.outgoing[:, :0])
+        return torch.cat(parts)
 
 
 def slot_weights(

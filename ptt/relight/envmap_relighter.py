@@ -4,7 +4,7 @@ geometry change; the shadows of the scene are ambient occlusion, or none."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -49,15 +49,20 @@ class SurfacePoints(NamedTuple):
     occlusion: Tensor
 
 
-class RegionExitant(NamedTuple):
-    """With a material, in one region: local light as its slices take it, these and the first of each point (None for
-    a dull material), diffuse radiance (v, 3), and the specular weight (v, 3)."""
+class Reflected(NamedTuple):
+    """A highlight in one region: local light as its slices take it, these and the first of each point, its weight."""
 
     light: Tensor
-    slices: Slices | None
-    first: Tensor | None
+    slices: Slices
+    first: Tensor
+    weight: Tensor
+
+
+class RegionExitant(NamedTuple):
+    """With a material, in one region: diffuse radiance (v, 3), and what its highlights reflect."""
+
     diffuse: Tensor
-    specular: Tensor
+    highlights: list[Reflected]
 
 
 @in_python
@@ -152,7 +157,7 @@ class EnvMapRelighter(Relighter):
         surface = SurfacePoints(scene.points, scene.frames, scene.colours, shade)
         self.vertices = nn.ModuleList(self._sorted(surface, scene.vertex_region))
         self._pixels = Cache()
-        self._tables: ShapeTables[Slices | None] = ShapeTables(self.slices_of)
+        self._tables: ShapeTables[Slices] = ShapeTables(self.slices_of)
         self._operations = operations(compiled)
 
     @property
@@ -206,46 +211,45 @@ class EnvMapRelighter(Relighter):
         lookup = points.lookup
         irradiance = mix(incident.irradiance, lookup.near.T.long(), lookup.weights.T)[:, :3]
         diffuse = material.diffuse.to(irradiance) / math.pi * points.colour * points.occlusion * irradiance
-        specular = material.specular.to(diffuse) * points.occlusion
-        cut = self._tables(material.shape, self.cosine.device)
-        if cut is None:
-            return RegionExitant(incident.local, None, None, diffuse, specular)
-        first = slices.first_slice(cut, lookup.twist)
-        return RegionExitant(slices.project(incident.local, cut), cut, first, diffuse, specular)
+        highlights = []
+        for highlight in material.highlights:
+            cut = self._tables(highlight.shape, self.cosine.device)
+            first = slices.first_slice(cut, lookup.twist)
+            weight = highlight.colour.to(diffuse) * points.occlusion
+            highlights.append(Reflected(slices.project(incident.local, cut), cut, first, weight))
+        return RegionExitant(diffuse, highlights)
 
     def view_step(self, exitant: list[RegionExitant], points: list[RegionPoints], eye: Tensor) -> Tensor:
         """Each point's slice of its view direction times the local light, between four normals."""
         out = self.cosine.new_zeros(sum(part.count for part in points), 3)
         for part, sent in zip(points, exitant, strict=True):
-            out = with_region(
-                out, part.rows[: part.count], sent.diffuse, sent.specular, self._reflected(part, sent, eye)
-            )
+            weights = [highlight.weight for highlight in sent.highlights]
+            reflected = [self._reflected(part, highlight, eye) for highlight in sent.highlights]
+            out = with_region(out, part.rows[: part.count], sent.diffuse, weights, reflected)
         return out
 
-    def _reflected(self, points: RegionPoints, sent: RegionExitant, eye: Tensor) -> Tensor | None:
-        """What the slices of one region reflect (v, 4), None for a dull one."""
-        if sent.slices is None:
-            return None
+    def _reflected(self, points: RegionPoints, sent: Reflected, eye: Tensor) -> Tensor:
+        """What the slices of a highlight reflect (v, 4)."""
         toward = eye if eye.ndim == 1 else eye[points.rows].T
         reflected: Tensor = self._operations.reflected(
             sent.light, sent.slices, sent.first, self.rotation.frames, points.lookup, toward
         )
         return reflected
 
-    def slices_of(self, shape: Shape | None) -> Slices | None:
-        """The slices of a shape, None for none; a subclass may return others (`Slices.with_tensorly`)."""
-        if shape is None:
-            return None
+    def slices_of(self, shape: Shape) -> Slices:
+        """The slices of a shape; a subclass may return others (`Slices.with_tensorly`)."""
         twists = 1 if shape.isotropic else self.twists
         make = slices.tabulate if self.rank is None else slices.factorise
         kept = self.terms if self.rank is None else self.rank
         return make(shape.evaluate, self.rotation.m, self.views, kept, twists).to(self.cosine.device)
 
 
-def with_region(out: Tensor, rows: Tensor, diffuse: Tensor, specular: Tensor, reflected: Tensor | None) -> Tensor:
+def with_region(
+    out: Tensor, rows: Tensor, diffuse: Tensor, weights: Sequence[Tensor], reflected: Sequence[Tensor]
+) -> Tensor:
     """Radiance (v, 3) with that of the rows of one region, whose points come first in the other tensors."""
-    if reflected is not None:
-        diffuse = torch.addcmul(diffuse, specular, reflected[:, :3])
+    for weight, light in zip(weights, reflected, strict=True):
+        diffuse = torch.addcmul(diffuse, weight, light[:, :3])
     return out.index_copy(0, rows, diffuse[: len(rows)])
 
 

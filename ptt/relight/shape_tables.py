@@ -16,21 +16,21 @@ REMEMBERED = 8
 
 @in_python
 class ShapeTables(Generic[T]):
-    """make(shape) of a shape with its parameters as they are now, on a device; None is a shape too."""
+    """make(shape) of a shape with its parameters as they are now, on a device."""
 
-    def __init__(self, make: Callable[[Shape | None], T]) -> None:
+    def __init__(self, make: Callable[[Shape], T]) -> None:
         self._make = make
         self._kept = dict[object, T]()
 
-    def __call__(self, shape: Shape | None, device: torch.device) -> T:
+    def __call__(self, shape: Shape, device: torch.device) -> T:
         """The table of a shape.
 
         Raises:
             ValueError: a parameter requires a gradient, which a table would lose.
         """
-        if shape is not None and torch.is_grad_enabled() and carries_gradient(shape):
+        if torch.is_grad_enabled() and carries_gradient(shape):
             raise ValueError("shapes carry no gradients here: detach the parameters, or use TransferRelighter")
-        key = None if shape is None else shape_key(shape), device
+        key = shape_key(shape), device
         if key not in self._kept:
             while len(self._kept) >= REMEMBERED:
                 self._kept.pop(next(iter(self._kept)))

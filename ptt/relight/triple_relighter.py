@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import zip_longest
 from typing import Any, Literal, NamedTuple
 
 import torch
@@ -42,6 +43,7 @@ MEMORY = 8e9  # bytes that all tables together may take
 OPERATOR = 32  # of the rotation operator, for a triangle of a frame
 PREROTATED = 64, 8  # cells along the edge of the light's map, and samples along that of a triangle
 FRAMES = 512  # that light is rotated to at once
+NO_COAT = Material(0.0)
 
 
 class PointLookups(NamedTuple):
@@ -59,6 +61,15 @@ class PointLookups(NamedTuple):
     colour: Tensor
     triangle: Tensor
     barycentric: Tensor
+
+
+class Coat(NamedTuple):
+    """A material with one highlight at most, and how much of it there is: a share as `Mixed` has it, what that leaves
+    of 1 (inverse), or all (None)."""
+
+    material: Material
+    share: Tensor | None
+    inverse: bool
 
 
 class Exitant(NamedTuple):
@@ -154,7 +165,7 @@ class TripleProductRelighter(Relighter):
         self._vertices = Cache()
         self._pixels = Cache()
         self._viewed = Cache()
-        self._second = Cache()
+        self._shared = Cache()
         self._glossy = Cache()
         self._tables: ShapeTables[Table] = ShapeTables(self._table)
         self._operations = operations(compiled)
@@ -223,12 +234,13 @@ class TripleProductRelighter(Relighter):
     @opaque
     def points(self, view: View, eye: Tensor, materials: Mapping[str, Material | Mixed]) -> ShadedPoints:
         """Where the functions of vertices or pixels are found, seen from an eye."""
-        own = list(materials.values())
-        at = self._located(view, brushed=any(map(_brushed, own)))
+        coats = list(map(_coats, materials.values()))
+        at = self._located(view, brushed=not all(c.material.isotropic for own in coats for c in own))
         of_views = self._operations.of_views
         viewed: Near = self._viewed((at, eye), lambda: of_views(at.frames, at.positions, eye, self.views))
-        second: Tensor = self._second((at, own), lambda: self._shares(at, own))
-        return ShadedPoints(at.light, at.seen, viewed, at.region, at.colour, second)
+        of_regions = [[(coat.share, coat.inverse) for coat in own] for own in coats]
+        shares: Tensor = self._shared((at, of_regions), lambda: self._shares(at, of_regions))
+        return ShadedPoints(at.light, at.seen, viewed, at.region, at.colour, shares)
 
     def _located(self, view: View, brushed: bool) -> PointLookups:
         scene = self.scene
@@ -269,29 +281,32 @@ class TripleProductRelighter(Relighter):
         surface = (positions, frames, region, colour, triangle, barycentric)
         return PointLookups(light, seen, *(x.to(device) for x in surface))
 
-    def _shares(self, at: PointLookups, own: list[Material | Mixed]) -> Tensor:
-        """How much of its region's second material is at each point (p,)."""
-        second = torch.zeros(len(at.region))
-        for region, material in enumerate(own):
-            if isinstance(material, Mixed):
-                rows = (at.region == region).nonzero()[:, 0].cpu()
-                triangle = at.triangle.cpu()[rows]
-                second[rows] = self.scene.share_at(material.share, triangle, at.barycentric.cpu()[rows])
-        return second.to(self.dull.device)
+    def _shares(self, at: PointLookups, of_regions: list[list[tuple[Tensor | None, bool]]]) -> Tensor:
+        """How much of each of its region's coats is at each point (i, p, 3)."""
+        shares = torch.zeros(max(map(len, of_regions)), len(at.region), 3)
+        for region, coats in enumerate(of_regions):
+            rows = (at.region == region).nonzero()[:, 0].cpu()
+            for i, (share, inverse) in enumerate(coats):
+                amount = torch.ones(())
+                if share is not None:
+                    amount = self.scene.share_at(share, at.triangle.cpu()[rows], at.barycentric.cpu()[rows])[:, None]
+                shares[i, rows] = 1 - amount if inverse else amount
+        return shares.to(self.dull.device)
 
     @opaque
     def brdf_step(self, incident: Table, materials: list[Material | Mixed], points: None) -> Exitant:
         """The BRDFs of the regions' shapes, one after the other, and their weights."""
-        pairs = [(m.first, m.second) if isinstance(m, Mixed) else (m, m) for m in materials]
-        layers = list(zip(*pairs, strict=True))[: 1 + any(isinstance(m, Mixed) for m in materials)]
-        tables = [[self._tables(m.shape, self.dull.device) for m in layer] for layer in layers]
-        distinct = list({id(table): table for layer in tables for table in layer}.values())
-        glossy: Table = self._glossy(distinct, lambda: _joined(distinct))
-        starts = {id(table): self.views**2 * k for k, table in enumerate(distinct)}
+        own = [[coat.material for coat in _coats(material)] for material in materials]
+        layers = list(zip_longest(*own, fillvalue=NO_COAT))
+        device = self.dull.device
+        tables = [[None if m.shape is None else self._tables(m.shape, device) for m in layer] for layer in layers]
+        distinct = list({id(table): table for layer in tables for table in layer if table is not None}.values())
+        glossy: Table = self._glossy(distinct, lambda: _joined(distinct or [self._no_table()]))
+        starts = {id(None): 0} | {id(table): self.views**2 * k for k, table in enumerate(distinct)}
         first = torch.tensor([[starts[id(table)] for table in layer] for layer in tables], dtype=torch.int32)
         diffuse = torch.stack([torch.stack([m.diffuse for m in layer]) for layer in layers]).to(self.dull)
         specular = torch.stack([torch.stack([m.specular for m in layer]) for layer in layers]).to(self.dull)
-        coats = RegionCoats(diffuse, specular, first.to(self.dull.device))
+        coats = RegionCoats(diffuse, specular, first.to(device))
         return Exitant(Functions(incident, self.visibility, self.dull, glossy), coats)
 
     def view_step(self, exitant: Exitant, points: ShadedPoints, eye: Tensor) -> Tensor:
@@ -308,13 +323,14 @@ class TripleProductRelighter(Relighter):
         points = self.points(view, eye_of(view, self.positions), chosen)
         return *self.exitant(environment, chosen, points), points
 
-    def _table(self, shape: Shape | None) -> Table:
+    def _table(self, shape: Shape) -> Table:
         """F (o, n) of a shape."""
-        if shape is None:
-            table = torch.zeros(self.views**2, self.grid.cells)
-        else:
-            table = local.brdf_table(shape.evaluate, self.grid, self.views, is_mirror_symmetric(shape))
+        table = local.brdf_table(shape.evaluate, self.grid, self.views, is_mirror_symmetric(shape))
         return Table(*(x.to(self.dull.device) for x in stored(table, self.storage)))
+
+    def _no_table(self) -> Table:
+        """Rows that a material without highlights points at."""
+        return Table(self.dull.new_zeros(1, self.grid.cells, dtype=self.storage), self.dull.new_zeros(1))
 
     def _checked(self, light: Table) -> Table:
         expected = (len(self.frames) * self.twists, 3, self.grid.cells)
@@ -328,10 +344,12 @@ def _joined(tables: list[Table]) -> Table:
     return Table(*(in_large_pages(torch.cat(parts)) for parts in zip(*tables, strict=True)))
 
 
-def _brushed(material: Material | Mixed) -> bool:
-    """Whether a material looks another way when it is turned: then light is interpolated between twists too."""
-    both = (material.first, material.second) if isinstance(material, Mixed) else (material,)
-    return any(m.shape is not None and not m.shape.isotropic for m in both)
+def _coats(material: Material | Mixed) -> list[Coat]:
+    """What a region of a material is coated with."""
+    if not isinstance(material, Mixed):
+        return [Coat(term, None, False) for term in material.terms]
+    first = [Coat(term, material.share, True) for term in material.first.terms]
+    return first + [Coat(term, material.share, False) for term in material.second.terms]
 
 
 def turned(frames: Tensor, twists: int) -> Tensor:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from ptt.materials import material as mat
 from ptt.materials.material import Material, blinn_phong
 from ptt.ops import mesh
 
@@ -178,4 +179,4 @@ def transformed(part: Part, matrix: Tensor) -> Part:
 def _same_material(a: Material | None, b: Material | None) -> bool:
     if a is None or b is None:
         return a is b
-    return bool((a.diffuse == b.diffuse).all() and (a.specular == b.specular).all()) and a.shape == b.shape
+    return mat.to_config(a) == mat.to_config(b)

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ptt.materials.material import Material
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.indirect import COARSE, ORDER, blurs, responses
 from ptt.models.slots import OWN, Slot, slots_of
@@ -73,8 +74,7 @@ class Reflector:
         mixtures = []
         for slot in (slots[k] for k in own):
             if slot.function == OWN:
-                assert material.shape is not None
-                mixtures.append(brdf.space.coordinates(material.shape).to(brdf.core))
+                mixtures.append(_own(brdf, material, slot.channel).to(brdf.core))
             elif slot.function > 0:
                 mixtures.append(basis.mixture[:, slot.function - 1])
             else:
@@ -100,6 +100,14 @@ class Reflector:
         """Reflectances (m, p, k) of the lobes of the specular functions, towards wo (m, 3)."""
         p, k = self.peaks.shape[:2]
         return lobes.lookup(self.peaks.flatten(0, 1), wo).reshape(p, k, len(wo)).permute(2, 0, 1)
+
+
+def _own(brdf: TensorBRDF, material: Material, channel: int) -> Tensor:
+    """Coordinates (h,) of the only highlight of a material, or of a channel of several."""
+    if channel >= 0:
+        return brdf.space.coloured(material)[:, channel]
+    shining = [h.shape for h in material.highlights if bool((h.colour > 0).any())]
+    return brdf.space.coordinates(shining[0])
 
 
 class Bounces:

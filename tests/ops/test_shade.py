@@ -28,12 +28,12 @@ def scene(n: int, p: int = 37, k: int = 4, j: int = 4, i: int = 1, storage: torc
     specular[:, 2] = 0  # a dull region
     coats = RegionCoats(torch.rand(i, 3, 3, generator=g), specular, torch.randint(2, (i, 3), generator=g).int() * 9)
     region = torch.randint(3, (p,), generator=g).int()
-    second = torch.rand(p, generator=g)
-    second[:3] = torch.tensor([0.0, 1.0, 0.5])
+    shares = torch.rand(i, p, 3, generator=g)
+    shares[:, :2] = torch.tensor([[0.0], [1.0]])
     return (
         functions,
         coats,
-        ShadedPoints(near(k, 6), near(j, 7), near(min(k, 4), 9), region, torch.rand(p, 3, generator=g), second),
+        ShadedPoints(near(k, 6), near(j, 7), near(min(k, 4), 9), region, torch.rand(p, 3, generator=g), shares),
     )
 
 
@@ -44,7 +44,7 @@ def test_the_sum_written_out() -> None:
     got = shade.shade(functions, coats, at)
     for p in range(5):
         r = int(at.region[p])
-        shares = (1 - float(at.second[p]), float(at.second[p]))
+        shares = at.shares[:, p].tolist()
         for c in range(3):
             total = 0.0
             for t in range(20):
@@ -56,7 +56,7 @@ def test_the_sum_written_out() -> None:
                     rows = zip(at.view.weights[p], at.view.rows[p], strict=True)
                     mirrored = sum(float(w * glossy[coats.first[i, r] + row, t]) for w, row in rows)
                     dull = float(coats.diffuse[i, r, c] * at.colour[p, c] * functions.dull[t])
-                    f += shares[i] * (dull + float(coats.specular[i, r, c]) * mirrored)
+                    f += shares[i][c] * (dull + float(coats.specular[i, r, c]) * mirrored)
                 total += lit * seen * f
             assert float(got[p, c]) == pytest.approx(total, rel=1e-5)  # 20 / n = 1
 
@@ -81,7 +81,7 @@ def test_stored_keeps_what_has_gradients_or_more_digits() -> None:
 
 @pytest.mark.parametrize("n", [20, 80, 320, 1280])
 @pytest.mark.parametrize(("k", "j"), [(1, 1), (4, 1), (4, 3), (4, 4), (8, 1), (8, 3), (8, 4)])
-@pytest.mark.parametrize("i", [1, 2])
+@pytest.mark.parametrize("i", [1, 2, 3])
 @pytest.mark.parametrize("storage", STORAGE, ids=str)
 def test_kernel(
     n: int, k: int, j: int, i: int, storage: torch.dtype, built: None, monkeypatch: pytest.MonkeyPatch
@@ -102,19 +102,19 @@ def test_no_sum_overflows(storage: torch.dtype, built: None) -> None:
     ones = torch.ones_like(functions.dull)
     full = Functions(light, torch.full_like(functions.visibility, 255), ones / torch.pi, glossy)
     coats = RegionCoats(torch.ones(2, 3, 3), torch.full((2, 3, 3), 1000.0), torch.zeros(2, 3, dtype=torch.int32))
-    got = native.shade(full, coats, at)
+    got = native.shade(full, coats, at._replace(shares=torch.full_like(at.shares, 0.5)))
     torch.testing.assert_close(got, torch.full_like(got, 20 * 7e4 * 7e4 * 1000), rtol=1e-2, atol=0)
 
 
 def test_what_the_kernel_does_not_take_is_computed_plainly(built: None) -> None:
     functions, coats, at = scene(80)
     mixed = functions._replace(light=table.stored(functions.light.to_dense(), torch.float32))
-    for arguments in (scene(80, k=2), scene(80, i=3), (mixed, coats, at)):
+    for arguments in (scene(80, k=2), (mixed, coats, at)):
         with native.refusals() as found:
             torch.testing.assert_close(native.shade(*arguments), shade.shade(*arguments))
         assert list(found) == ["shade"]
     colour = at.colour.clone().requires_grad_()
-    native.shade(functions, coats, at._replace(colour=colour)).sum().backward()
+    native.shade(functions, coats, at._replace(colour=colour, shares=torch.ones_like(at.shares))).sum().backward()
     assert colour.grad is not None and bool((colour.grad > 0).all())
     assert native.shade(functions, coats, at.part(0, 0)).shape == (0, 3)
 

@@ -71,7 +71,7 @@ def width(lobe: Lobe) -> float:
 def test_density_of_a_mixture_integrates_to_one(lobe: Lobe, tilt: float) -> None:
     wo = tilted(tilt)
     wi, weights = sphere(wo, 0.1 * width(lobe))
-    total = (Mixture(lobe, 0.7).density(wi, wo.expand_as(wi)) * weights).sum()
+    total = (Mixture((lobe,), (0.7,)).density(wi, wo.expand_as(wi)) * weights).sum()
     assert float((cosine_density(wi) * weights).sum()) == pytest.approx(1, abs=1e-4)  # the quadrature itself
     assert float(total) == pytest.approx(1, abs=1e-4)
 
@@ -106,7 +106,7 @@ def test_density_is_blind_to_the_sign_of_the_half_vector(lobe: Lobe) -> None:
 @pytest.mark.parametrize(("lobe", "tilt"), list(product([None, *LOBES], TILTS)), ids=str)
 def test_samples_follow_the_density(lobe: Lobe | None, tilt: float) -> None:
     """The sample mean of a function is its integral against the density."""
-    mixture = Mixture(lobe, 0.7 if lobe else 0.0)
+    mixture = Mixture((lobe,), (0.7,)) if lobe else Mixture()
     wo = tilted(tilt)
     generator = torch.Generator().manual_seed(3)
     u = torch.rand(50_000, 3, generator=generator, dtype=torch.float64)
@@ -139,7 +139,7 @@ def test_float32_density_is_that_of_float64(lobe: Lobe) -> None:
     """Rounding wi moves a narrow lobe's argument: 1e-7 against its width, so 1e5 loses about 1e-3."""
     u = torch.rand(4096, 3, generator=torch.Generator().manual_seed(0))
     wo = tilted(50.0)
-    mixture = Mixture(lobe, 0.7)
+    mixture = Mixture((lobe,), (0.7,))
     wi = mixture.sample(u, wo.float().expand(4096, 3))
     wi = wi[wi[:, 2] > 0.01]
     single = mixture.density(wi, wo.float().expand_as(wi))
@@ -153,9 +153,9 @@ def test_uniform_numbers_at_their_ends_give_finite_directions() -> None:
     u = torch.tensor(list(product((0.0, last), repeat=3)))
     wo = tilted(60.0).float().expand(len(u), 3)
     for lobe in LOBES:
-        wi = Mixture(lobe, 0.5).sample(u, wo)
+        wi = Mixture((lobe,), (0.5,)).sample(u, wo)
         assert torch.isfinite(wi).all()
-        assert torch.isfinite(Mixture(lobe, 0.5).density(wi, wo)).all()
+        assert torch.isfinite(Mixture((lobe,), (0.5,)).density(wi, wo)).all()
 
 
 def test_cosine_hemisphere_has_mean_two_thirds_up() -> None:

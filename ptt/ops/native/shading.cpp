@@ -189,11 +189,13 @@ static void shade(const Shade &g, int64_t p, int count, Ints at, Ints region) {
             for (int j = 0; j < J; ++j) fetch(g.visibility + g.seen_rows[J * (p + l + AHEAD) + j] * g.n, g.n);
         sum_up<V, Dull, I>((const Dull *)g.dull, g.n, light, glossy, visible, sums[l][0]);
     }
-    const Lanes second = gather(g.second + p, at), unit = lights.gain * seen.gain * ((float)ROOTS / BYTE / g.n);
-    const Lanes share[2] = {g.coats == 2 ? 1.0f - second : all(1), second};
+    const Lanes unit = lights.gain * seen.gain * ((float)ROOTS / BYTE / g.n);
     for (int c = 0; c < 3; ++c) {
-        Lanes matt = {}, shining = {}, out;
-        for (int i = 0; i < g.coats; ++i) matt += share[i] * gather(g.diffuse + 3 * i * g.regions + c, 3 * region);
+        Lanes matt = {}, shining = {}, share[2], out;
+        for (int i = 0; i < g.coats; ++i) {
+            share[i] = gather(g.shares + 3 * (i * g.points + p) + c, 3 * at);
+            matt += share[i] * gather(g.diffuse + 3 * i * g.regions + c, 3 * region);
+        }
         for (int i = 0; i < I; ++i) {
             const Lanes weight = share[i] * gather(g.specular + 3 * i * g.regions + c, 3 * region);
             shining += weight * views[i].gain * gather(&sums[0][i + 1][c], 4 * (I + 1) * lane());

@@ -23,11 +23,12 @@ SEEN = {1: (1,), 4: (1, 3, 4), 8: (1, 3, 4)}
 """The numbers of rows of visibility that are interpolated, by the number of rows of light."""
 VIEWS = {1: 1, 4: 4, 8: 4}
 """The number of directions of view, by the number of rows of light."""
-COATS = (1, 2)
+COATS = 2
+"""As many coats are shaded at once."""
 SCHEMA = (
     "shade(Tensor light, Tensor light_scale, Tensor visibility, Tensor dull, Tensor glossy, Tensor glossy_scale, "
     "Tensor diffuse, Tensor specular, Tensor first, Tensor light_rows, Tensor light_weights, Tensor seen_rows, "
-    "Tensor seen_weights, Tensor view_rows, Tensor view_weights, Tensor region, Tensor colour, Tensor second) -> Tensor"
+    "Tensor seen_weights, Tensor view_rows, Tensor view_weights, Tensor region, Tensor colour, Tensor shares) -> Tensor"
 )
 
 
@@ -39,7 +40,13 @@ def shade(functions: Functions, coats: RegionCoats, at: ShadedPoints) -> Tensor:
     """B (p, c), as `ptt.ops.shade.shade`."""
     light, visibility, dull, glossy = functions
     tables = (*light, visibility, dull, *glossy)
-    result: Tensor = _shade(*tables, *coats, *at.light, *at.seen, *at.view, at.region, at.colour, at.second)
+    points = (*at.light, *at.seen, *at.view, at.region, at.colour)
+    first, *others = range(0, len(coats.first), COATS)
+    result: Tensor = _shade(
+        *tables, *(x[first : first + COATS] for x in coats), *points, at.shares[first : first + COATS]
+    )
+    for k in others:
+        result = result + _shade(*tables, *(x[k : k + COATS] for x in coats), *points, at.shares[k : k + COATS])
     return result
 
 
@@ -61,12 +68,12 @@ def _packed(
     view_weights: Tensor,
     region: Tensor,
     colour: Tensor,
-    second: Tensor,
+    shares: Tensor,
 ) -> tuple[Functions, RegionCoats, ShadedPoints]:
     """The arguments of the schema as the plain function takes them."""
     functions = Functions(Table(light, light_scale), visibility, dull, Table(glossy, glossy_scale))
     near = (Near(light_rows, light_weights), Near(seen_rows, seen_weights), Near(view_rows, view_weights))
-    return functions, RegionCoats(diffuse, specular, first), ShadedPoints(*near, region, colour, second)
+    return functions, RegionCoats(diffuse, specular, first), ShadedPoints(*near, region, colour, shares)
 
 
 def _conditions(*arguments: Tensor) -> Conditions:
@@ -83,17 +90,17 @@ def _conditions(*arguments: Tensor) -> Conditions:
     yield of_type(torch.int32, *(near.rows for near in at[:3]), at.region, coats.first), "rows must be int32"
     yield of_type(torch.float32, light.scale, dull, glossy.scale), "scales must be float32"
     yield of_type(torch.float32, *(near.weights for near in at[:3])), "weights must be float32"
-    yield of_type(torch.float32, at.colour, at.second, coats.diffuse, coats.specular), "coats must be float32"
+    yield of_type(torch.float32, at.colour, at.shares, coats.diffuse, coats.specular), "coats must be float32"
     yield light.values.shape[1:] == (3, n), "light must be (f, 3, n)"
     yield visibility.shape[1:] == (n,) == glossy.values.shape[1:], "visibility and BRDFs must be (rows, n)"
     yield light.scale.shape == light.values.shape[:1], "a row of light must have one scale"
     yield glossy.scale.shape == glossy.values.shape[:1], "a row of BRDFs must have one scale"
     yield k in SEEN and j in SEEN[k], f"there are kernels for so many rows of visibility by rows of light: {SEEN}"
     yield at.view.rows.shape[1] == VIEWS[k], f"there are kernels for so many views by rows of light: {VIEWS}"
-    yield i in COATS, "a region must have one coat or two"
+    yield 1 <= i <= COATS, "a region must have one coat or two"
     for near in at[:3]:
         yield near.rows.shape == near.weights.shape == (p, near.rows.shape[1]), "rows and weights must be (p, k)"
-    yield at.second.shape == (p,) and at.colour.shape == (p, 3), "second must be (p,) and colour (p, 3)"
+    yield at.shares.shape == (i, p, 3) and at.colour.shape == (p, 3), "shares must be (i, p, 3) and colour (p, 3)"
     yield coats.diffuse.shape == coats.specular.shape == (i, r, 3), "coats must be (i, r, 3)"
 
 

@@ -154,7 +154,7 @@ struct Shade {
     const uint8_t *visibility;
     const float *light_scale, *glossy_scale;
     const int32_t *light_rows, *seen_rows, *view_rows, *region, *first;
-    const float *light_weights, *seen_weights, *view_weights, *colour, *second, *diffuse, *specular;
+    const float *light_weights, *seen_weights, *view_weights, *colour, *shares, *diffuse, *specular;
     float *out;
     int64_t points, n, regions;
     int32_t lights, vertices, coats, type, threads;  // lights, vertices: rows that are mixed

@@ -138,7 +138,7 @@ def shade() -> None:
         )
         coats = RegionCoats(uniform(1, 2, 3), uniform(1, 2, 3), torch.zeros(1, 2, dtype=torch.int32))
         at = ShadedPoints(
-            lookup, lookup, lookup, torch.zeros(points, dtype=torch.int32), uniform(points, 3), torch.zeros(points)
+            lookup, lookup, lookup, torch.zeros(points, dtype=torch.int32), uniform(points, 3), uniform(1, points, 3)
         )
         native.shade(functions, coats, at)
 
