@@ -200,10 +200,11 @@ _PIECES = (  # of a triangle with 0, 1, 2, 3 cut edges: corners are 0, 1, 2, the
 )
 
 
-def sample_texture(texture: Tensor, uv: Tensor) -> Tensor:
-    """Bilinear values (n, c) of a texture (h, w, c), which repeats, at uv (n, 2); differentiable in the texture.
+def sample_texture(texture: Tensor, uv: Tensor, wrap: tuple[str, str] = ("repeat", "repeat")) -> Tensor:
+    """Bilinear values (n, c) of a texture (h, w, c) at uv (n, 2); differentiable in the texture.
 
     u grows with the column, v against the row (v = 1 is the top of row 0); texel centres lie at half texels.
+    wrap: how it goes on beyond its edges, along u and along v: repeat, mirror or clamp
     """
     height, width = texture.shape[:2]
     x = uv[:, 0].double() * width - 0.5
@@ -212,12 +213,20 @@ def sample_texture(texture: Tensor, uv: Tensor) -> Tensor:
     row = y.floor()
     fx = (x - column).to(texture)[:, None]
     fy = (y - row).to(texture)[:, None]
-    c0 = column.long() % width
-    r0 = row.long() % height
-    c1 = (c0 + 1) % width
-    r1 = (r0 + 1) % height
+    c0, c1 = (_wrapped(column.long() + k, width, wrap[0]) for k in (0, 1))
+    r0, r1 = (_wrapped(row.long() + k, height, wrap[1]) for k in (0, 1))
     top = texture[r0, c0] * (1 - fx) + texture[r0, c1] * fx
     return top * (1 - fy) + (texture[r1, c0] * (1 - fx) + texture[r1, c1] * fx) * fy
+
+
+def _wrapped(index: Tensor, count: int, wrap: str) -> Tensor:
+    """The texels 0..count-1 that stand for others."""
+    if wrap == "clamp":
+        return index.clamp(0, count - 1)
+    if wrap == "repeat":
+        return index % count
+    there = index % (2 * count)
+    return torch.minimum(there, 2 * count - 1 - there)
 
 
 def plane_mesh(size: float = 1.0, cells: int = 1) -> tuple[Tensor, Tensor]:

@@ -35,7 +35,9 @@ def without_hidden(scene: Scene) -> Scene:
     rows, renumbered = faces[keep].unique(return_inverse=True)
     names = ("vertices", "normals", "tangents", "vertex_region", "colours")
     parts = {name: getattr(scene, name)[rows] for name in names}
-    return replace(scene, faces=renumbered, uv=None if scene.uv is None else scene.uv[rows], **parts)
+    optional = {"uv": scene.uv, "tints": scene.tints}
+    parts |= {name: values[rows] for name, values in optional.items() if values is not None}
+    return replace(scene, faces=renumbered, **parts)
 
 
 def _sees_out(scene: Scene, points: Tensor, normals: Tensor) -> Tensor:

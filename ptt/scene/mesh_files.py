@@ -1,19 +1,10 @@
-"""Mesh files, read through trimesh: .ply, .obj, .stl, .gltf, .glb.
+"""Mesh files: .ply, .obj and .stl, read through trimesh; .gltf and .glb (`ptt.scene.gltf_parts`).
 
-A region is named after what it comes from:
+A region is named after what it comes from: each material of an OBJ is one, where there are several; other files are one
+region, named by the stem.
 
-- glTF: each mesh (each primitive of one, where it has several) is a region, all its instances in world space together.
-- OBJ: each material is a region, where there are several.
-- Other files are one region, named by the stem.
-
-Base colour: glTF's baseColorFactor and MTL's Kd are linear and become the material's diffuse. Textures, and
-the vertex colours of PLY and OBJ, are sRGB and are decoded; glTF's vertex colours are linear. trimesh holds
-glTF's factors in 8 bits. A texture overrides vertex colours.
-
-glTF's metallic-roughness becomes Blinn-Phong: diffuse = 0.96 (1 - metallic) base,
-specular = 0.04 (1 - metallic) + metallic base, exponent = 2 / roughness^4 - 2, kept within 1..200. MTL's Ks
-and Ns are taken as they are, Ns within 1..200. Normal, metallic-roughness and emissive textures, transparency
-and double-sidedness have no counterpart here and are left out.
+Base colour: MTL's Kd is linear and becomes the material's diffuse. Textures and vertex colours are sRGB and are
+decoded; a texture stands in place of vertex colours. MTL's Ks and Ns are taken as they are, Ns within 1..200.
 """
 
 from __future__ import annotations
@@ -25,17 +16,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
 
 from ptt.io.colour import from_srgb
 from ptt.materials.material import Material, blinn_phong
 from ptt.ops import mesh
+from ptt.scene import gltf_parts
 from ptt.scene.parts import Part, join, transformed
+from ptt.scene.textures import Texture, from_image
 
 FORMATS = (".ply", ".obj", ".stl", ".gltf", ".glb")  # endings of files that are read
 GLTF = (".gltf", ".glb")
-EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")  # Pillow's modes of at most 8 bits a channel
 EXPONENTS = (1.0, 200.0)  # the range of `BRDFSpace.blinn_phong`, in which exponents from files are kept
 
 
@@ -48,10 +39,12 @@ def read_parts(path: Path) -> list[Part]:
     Raises:
         ValueError: the file is missing, of another kind, unreadable, or has no triangles.
     """
-    scene = _open(path)
     suffix = path.suffix.lower()
+    if suffix in GLTF and path.is_file():
+        return gltf_parts.read_parts(path)
+    scene = _open(path)
     sources = {
-        name: _part(name, geometry, suffix in GLTF)
+        name: _part(name, geometry)
         for name, geometry in scene.geometry.items()
         if hasattr(geometry, "faces") and len(geometry.faces)
     }
@@ -67,25 +60,9 @@ def read_parts(path: Path) -> list[Part]:
     lost += [f"{name} (no triangles)" for name in scene.geometry if name not in sources]
     if lost:
         warnings.warn(f"{path.name} was read without {', '.join(lost)}", UserWarning, stacklevel=2)
-    if len(parts) == 1 and suffix not in GLTF:
+    if len(parts) == 1:
         parts = [replace(parts[0], name=path.stem)]
     return [_per_format(part, suffix) for part in parts]
-
-
-def read_texture(image: Path | Image.Image) -> Tensor:
-    """An 8-bit sRGB image as linear RGB (h, w, 3) float32; alpha is ignored.
-
-    Raises:
-        ValueError: the file is missing, not an image, or not of 8 bits.
-    """
-    try:
-        opened = Image.open(image) if isinstance(image, Path) else image
-        if opened.mode not in EIGHT_BITS:
-            raise ValueError(f"8-bit grey, palette or RGB expected, got mode {opened.mode}")
-        pixels = np.asarray(opened.convert("RGB"))
-    except (OSError, ValueError) as error:
-        raise ValueError(f"texture must be a readable 8-bit image: {image}: {error}") from error
-    return from_srgb(torch.from_numpy(pixels / 255.0)).float()
 
 
 def _open(path: Path) -> Any:
@@ -102,43 +79,36 @@ def _open(path: Path) -> Any:
         raise ValueError(f"path must be a readable mesh: {path}: {type(error).__name__}: {error}") from error
 
 
-def _part(name: str, geometry: Any, gltf: bool) -> Part:
+def _part(name: str, geometry: Any) -> Part:
     """A mesh of trimesh as ours."""
     normals = geometry.vertex_normals if "vertex_normals" in geometry._cache else None  # the file's own only
     material, image = _material(getattr(geometry.visual, "material", None))
     uv = getattr(geometry.visual, "uv", None)
+    textured = image is not None and uv is not None
     return Part(
         name,
         _tensor(geometry.vertices),
         torch.from_numpy(np.array(geometry.faces, dtype=np.int64)),
         normals=None if normals is None else _tensor(normals),
         uv=None if uv is None else _tensor(uv),
-        colours=_vertex_colours(geometry.visual, gltf),
-        texture=None if image is None or uv is None else read_texture(image),
+        colours=None if textured else _vertex_colours(geometry.visual),
+        texture=Texture(from_image(image)) if textured else None,
         material=material,
     )
 
 
-def _vertex_colours(visual: Any, gltf: bool) -> Tensor | None:
+def _vertex_colours(visual: Any) -> Tensor | None:
     """Linear colours (v, 3) of trimesh's visual, None where it has none."""
     if visual.kind in ("vertex", "face"):
         colours = visual.vertex_colors
     elif (colours := getattr(visual, "vertex_attributes", {}).get("color")) is None:
         return None
     scale = np.iinfo(colours.dtype).max if colours.dtype.kind in "ui" else 1.0
-    decoded = _tensor(colours[:, :3]) / scale
-    return (decoded if gltf else from_srgb(decoded)).float()
+    return from_srgb(_tensor(colours[:, :3]) / scale).float()
 
 
 def _material(material: Any) -> tuple[Material | None, Any]:
     """A trimesh material as ours, and its base colour image."""
-    if hasattr(material, "baseColorFactor"):
-        base = _linear(material.baseColorFactor)
-        metal = 1.0 if material.metallicFactor is None else float(material.metallicFactor)
-        rough = 1.0 if material.roughnessFactor is None else float(material.roughnessFactor)
-        exponent = _kept_exponent(2 / max(rough, 0.1) ** 4 - 2)
-        specular = 0.04 * (1 - metal) + metal * base
-        return blinn_phong(0.96 * (1 - metal) * base, specular, exponent), material.baseColorTexture
     image = getattr(material, "image", None)
     mtl = getattr(material, "kwargs", {})
     if mtl or (image is not None and "file_path" in image.info):  # trimesh's stand-in has neither
@@ -151,11 +121,6 @@ def _material(material: Any) -> tuple[Material | None, Any]:
 def _kept_exponent(exponent: float) -> float:
     least, most = EXPONENTS
     return min(max(exponent, least), most)
-
-
-def _linear(factor: Any) -> Tensor:
-    """Linear RGB (3,) of a factor that trimesh holds in 8 bits; white for None."""
-    return torch.ones(3) if factor is None else _tensor(factor[:3]) / 255
 
 
 def _per_format(part: Part, suffix: str) -> Part:

@@ -12,6 +12,7 @@ from torch import Tensor
 from ptt.materials import material as mat
 from ptt.materials.material import Material, blinn_phong
 from ptt.ops import mesh
+from ptt.scene.textures import Texture
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +25,7 @@ class Part:
     normals: Tensor | None = None
     uv: Tensor | None = None
     colours: Tensor | None = None
-    texture: Tensor | None = None
+    texture: Texture | Tensor | None = None
     material: Material | None = None
     editable: bool = True
 
@@ -33,6 +34,7 @@ class Part:
 class PreparedPart:
     """A part that is sound: float32 and int64, unit normals and tangents, no triangle without area.
 
+    colours: the base colour, that of the texture included; tints: what multiplies the texture, None for white
     dropped: triangles without area that it lost; renewed: vertices whose normal was repaired
     """
 
@@ -41,8 +43,9 @@ class PreparedPart:
     normals: Tensor
     tangents: Tensor
     colours: Tensor
+    tints: Tensor | None
     uv: Tensor | None
-    texture: Tensor | None
+    texture: Texture | None
     material: Material
     dropped: int
     renewed: int
@@ -83,18 +86,17 @@ def _prepare(part: Part) -> PreparedPart:
     uv = None if part.uv is None else _rows("uv", part.uv, (count, 2))
     texture = None if part.texture is None else _checked_texture(part.texture, uv)
     normals, renewed = _normals(part, vertices, faces)
+    tints = None if part.colours is None else _rows("colours", part.colours, (count, 3))
+    colours = torch.ones(count, 3) if tints is None else tints
     if texture is not None and uv is not None:
-        colours = mesh.sample_texture(texture, uv)
-    elif part.colours is not None:
-        colours = _rows("colours", part.colours, (count, 3))
-    else:
-        colours = torch.ones(count, 3)
+        colours = colours * texture.at(uv)
     return PreparedPart(
         vertices=vertices,
         faces=faces,
         normals=normals.float(),
         tangents=mesh.tangents(vertices, faces, normals, uv).float(),
         colours=colours,
+        tints=None if texture is None else tints,
         uv=uv,
         texture=texture,
         material=part.material or default_material(texture is not None or part.colours is not None),
@@ -115,13 +117,10 @@ def _normals(part: Part, vertices: Tensor, faces: Tensor) -> tuple[Tensor, int]:
     return mesh.fill_normals(vertices, normals), int((~known).sum())
 
 
-def _checked_texture(texture: Tensor, uv: Tensor | None) -> Tensor:
+def _checked_texture(texture: Texture | Tensor, uv: Tensor | None) -> Texture:
     if uv is None:
         raise ValueError("texture needs uv (v, 2), got None")
-    texture = torch.as_tensor(texture).float()
-    if texture.ndim != 3 or texture.shape[2] != 3 or not texture.numel():
-        raise ValueError(f"texture must be (h, w, 3) linear RGB, got {tuple(texture.shape)}")
-    return texture
+    return texture if isinstance(texture, Texture) else Texture(texture)
 
 
 def _rows(name: str, value: Tensor, shape: tuple[int, int], finite: bool = True) -> Tensor:
@@ -142,7 +141,7 @@ def join(name: str, parts: Sequence[Part]) -> Part:
         ValueError: their materials or textures differ.
     """
     first = parts[0]
-    if any(p.texture is not first.texture or not _same_material(p.material, first.material) for p in parts):
+    if not all(_same_texture(p.texture, first.texture) and _same_material(p.material, first.material) for p in parts):
         raise ValueError("parts must share one material and texture; they differ: give the region a material")
     counts = torch.tensor([len(p.vertices) for p in parts])
     starts = (counts.cumsum(0) - counts).tolist()
@@ -167,13 +166,21 @@ def transformed(part: Part, matrix: Tensor) -> Part:
     """The part under an affine transform (4, 4) float64; where that mirrors, faces are turned so that fronts stay."""
     linear = matrix[:3, :3]
     mirror = bool(torch.linalg.det(linear) < 0)
-    normals = None if part.normals is None else part.normals.double() @ torch.linalg.inv(linear)
+    a, b, c = linear.T  # of the inverse's transpose, times the determinant: there is one of flat parts too
+    cofactors = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)])
+    normals = None if part.normals is None else part.normals.double() @ (-cofactors if mirror else cofactors)
     return replace(
         part,
         vertices=part.vertices.double() @ linear.T + matrix[:3, 3],
         faces=part.faces.flip(1) if mirror else part.faces,
         normals=normals,
     )
+
+
+def _same_texture(a: Texture | Tensor | None, b: Texture | Tensor | None) -> bool:
+    if isinstance(a, Texture) and isinstance(b, Texture):
+        return a.pixels is b.pixels and a.wrap == b.wrap
+    return a is b
 
 
 def _same_material(a: Material | None, b: Material | None) -> bool:

@@ -17,6 +17,7 @@ from ptt.ops.octahedral import mix
 from ptt.ops.raycast import Surface
 from ptt.scene.camera import Camera
 from ptt.scene.parts import Part, prepare
+from ptt.scene.textures import Texture
 
 INSET = 0.01  # share of the way from a vertex to the middle of its triangles at which it is lit (`Scene.points`)
 
@@ -26,12 +27,12 @@ class Region:
     """A part of the scene that has one material.
 
     editable: says whether the material may change after precomputation
-    texture (h, w, 3): linear base colour, or None
+    texture: linear base colour over uv, or None
     """
 
     name: str
     editable: bool = True
-    texture: Tensor | None = None
+    texture: Texture | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +42,9 @@ class Scene:
     vertices (v, 3) float32, faces (f, 3) int64: no vertex is shared between regions
     normals, tangents (v, 3): unit, orthogonal to 1e-6
     vertex_region (v,): index into `regions`
-    colours (v, 3): linear base colour that multiplies the material's diffuse: the texture at the vertex where the
-        region has one, 1 where it has no colours
+    colours (v, 3): linear base colour that multiplies the material's diffuse: the given colours, or 1, times the
+        texture at the vertex where the region has one
+    tints (v, 3): what multiplies the texture in regions that have both, 1 in others; None where no region has both
     uv (v, 2): texture coordinates, v = 1 on top; 0 in regions that have none; None where no region has any
     regions: their names, textures, and whether they may be edited
     materials: default Material of each region, by name
@@ -61,6 +63,7 @@ class Scene:
     materials: dict[str, Material]
     camera: Camera
     environment: Environment | None = None
+    tints: Tensor | None = None
 
     @classmethod
     def from_mesh(
@@ -72,7 +75,7 @@ class Scene:
         normals: Tensor | None = None,
         uv: Tensor | None = None,
         colours: Tensor | None = None,
-        texture: Tensor | None = None,
+        texture: Texture | Tensor | None = None,
         material: Material | None = None,
     ) -> Scene:
         """A scene of one region.
@@ -80,7 +83,8 @@ class Scene:
         vertices (v, 3), faces (f, 3): counter-clockwise seen from the front
         normals (v, 3): any length; rows that are zero or not finite, or all for None, are computed from the faces
         uv (v, 2): texture coordinates
-        colours (v, 3), texture (h, w, 3): linear base colour; a texture overrides colours
+        colours (v, 3): linear base colour; texture: one over uv, a `Texture` or linear (h, w, 3) that repeats. Both
+            multiply
         material: None for `ptt.scene.parts.default_material`
 
         Raises:
@@ -109,6 +113,7 @@ class Scene:
         counts = torch.tensor([len(r.vertices) for r in ready])
         starts = (counts.cumsum(0) - counts).tolist()
         uv = [r.vertices.new_zeros(len(r.vertices), 2) if r.uv is None else r.uv for r in ready]
+        tints = [torch.ones_like(r.colours) if r.tints is None else r.tints for r in ready]
         vertices = torch.cat([r.vertices for r in ready])
         return cls(
             vertices=vertices,
@@ -122,6 +127,7 @@ class Scene:
             materials={p.name: r.material for p, r in zip(parts, ready, strict=True)},
             environment=environment,
             camera=camera or Camera.framing(*_bounds(vertices)),
+            tints=None if all(r.tints is None for r in ready) else torch.cat(tints),
         )
 
     @cached_property
@@ -203,7 +209,8 @@ class Scene:
     def albedo(self, triangle: Tensor, barycentric: Tensor) -> Tensor:
         """Linear base colour (n, 3) at hits: triangle (n,) index into faces, barycentric (n, 3).
 
-        It is the texture at the interpolated uv where the region has one, else the interpolated colours.
+        It is the texture at the interpolated uv, times the interpolated tints, where the region has one, else the
+        interpolated colours.
 
         Raises:
             ValueError: a triangle is not a face of the scene (a miss, for one).
@@ -216,7 +223,10 @@ class Scene:
             rows = torch.nonzero(region == index)[:, 0]
             if own.texture is not None and self.uv is not None and len(rows):
                 at = self.interpolated(self.uv, triangle[rows], barycentric[rows])
-                colour = colour.index_copy(0, rows, mesh.sample_texture(own.texture, at))
+                texels = own.texture.at(at)
+                if self.tints is not None:
+                    texels = texels * self.interpolated(self.tints, triangle[rows], barycentric[rows])
+                colour = colour.index_copy(0, rows, texels)
         return colour
 
 

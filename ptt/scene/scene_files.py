@@ -47,9 +47,10 @@ from ptt.ops import mesh
 from ptt.ops.directions import turn
 from ptt.scene.camera import Camera
 from ptt.scene.hidden import without_hidden
-from ptt.scene.mesh_files import read_parts, read_texture
+from ptt.scene.mesh_files import read_parts
 from ptt.scene.parts import Part, join, transformed
 from ptt.scene.scene import Scene
+from ptt.scene.textures import read_texture
 
 T = TypeVar("T")
 SHAPES: dict[str, Callable[..., tuple[Tensor, Tensor]]] = {

@@ -310,7 +310,7 @@ def test_obj_materials_become_regions_with_their_texture(tmp_path: Path) -> None
     texture = scene.regions[a].texture
     assert texture is not None
     expected = torch.tensor([[0, 10 / 255 / 12.92], [0.2158605, 1.0]])
-    torch.testing.assert_close(texture[..., 0], expected, atol=1e-6, rtol=0)
+    torch.testing.assert_close(texture.pixels[..., 0], expected, atol=1e-6, rtol=0)
     assert scene.materials["a"].diffuse.tolist() == [1, 1, 1]
     torch.testing.assert_close(scene.materials["b"].diffuse, torch.tensor([0.1, 0.2, 0.3]))
     assert scene.materials["b"].shape == BlinnPhong(50.0)
@@ -373,8 +373,9 @@ def test_glb_instances_are_placed_and_mirrors_keep_their_front(tmp_path: Path) -
     assert torch.equal(crosses[:, 2].sign(), torch.ones(2, dtype=torch.float64))
     assert torch.equal(scene.normals, torch.tensor([0.0, 0, 1]).expand(6, 3))
     material = scene.materials["tri"]
-    assert material.diffuse.tolist() == [0, 0, 0] and material.specular.tolist() == [1, 0, 0]
-    assert material.shape == BlinnPhong(30.0)  # 2 / 0.5^4 - 2
+    assert material.diffuse.tolist() == [0, 0, 0]
+    assert [h.colour.tolist() for h in material.highlights] == [[1, 0, 0], [0, 1, 1]]
+    assert [h.shape for h in material.highlights] == [ptt.GGX(1.0, 0.5), ptt.GGX(0.0, 0.5)]
 
 
 def test_normals_turn_with_the_inverse_transpose(tmp_path: Path) -> None:

@@ -1,0 +1,226 @@
+"""The parts of a glTF file: its meshes in world space, each with its material.
+
+Each mesh is a region (each primitive of one that has several), all its instances together. What a file asks for and ptt
+has no counterpart of is left out with one warning that counts it; what it needs is refused (`ptt.io.gltf`).
+
+Khronos, glTF 2.0 specification; numbers of sections are its own.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ptt.io import gltf
+from ptt.scene.gltf_materials import Look, Materials
+from ptt.scene.parts import Part, join, transformed
+
+Matrix = NDArray[np.float64]
+TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives (3.7.2.1); those below are points and lines
+
+
+def read_parts(path: Path) -> list[Part]:
+    """The parts of a .gltf or .glb file, in world space.
+
+    Raises:
+        ValueError: as `gltf.open_file`; the file is damaged, or shows no triangles.
+    """
+    file = gltf.open_file(path)
+    try:
+        reader = _Reader(file)
+        parts = reader.parts()
+    except (KeyError, IndexError, TypeError, AttributeError, OverflowError) as error:
+        raise ValueError(f"{path} is damaged: {type(error).__name__}: {error}") from error
+    if reader.losses:
+        lost = ", ".join(f"{count} x {what}" for what, count in sorted(reader.losses.items()))
+        warnings.warn(f"{path.name} was read without {lost}", UserWarning, stacklevel=4)
+    if not parts:
+        raise ValueError(f"path must hold triangles: {path} shows none")
+    return parts
+
+
+class _Reader:
+    """A file, and what was left out of it."""
+
+    def __init__(self, file: gltf.File) -> None:
+        self.file = file
+        self.losses = Counter[str]()
+        self.materials = Materials(file, self.losses)
+        self.world: dict[int, Matrix] = {}
+
+    def parts(self) -> list[Part]:
+        """A part for each primitive of each mesh that the scene shows, all instances of it together."""
+        for name in self.file.tree.get("extensionsUsed", []):
+            if name not in gltf.SUPPORTED and not name.startswith("KHR_materials_"):
+                self.losses[name] += 1
+        placed: dict[tuple[int, int], list[Part]] = {}
+        for index, node in self._nodes():
+            if "mesh" not in node:
+                continue
+            for number, primitive in enumerate(self.file.item("meshes", node["mesh"])["primitives"]):
+                part = self._primitive(node, primitive)
+                if part is not None:
+                    placed.setdefault((node["mesh"], number), []).extend(self._instances(index, node, part, primitive))
+        names = _names(self.file, sorted(key for key, instances in placed.items() if instances))
+        return [join(name, placed[key]) for key, name in names.items()]
+
+    def _nodes(self) -> Iterator[tuple[int, dict[str, Any]]]:
+        """The nodes of the scene that are visible, with their world matrices in `world` (3.5)."""
+        scenes = self.file.items("scenes")
+        if scenes:
+            roots = self.file.item("scenes", self.file.tree.get("scene", 0)).get("nodes", [])
+        else:
+            children = {child for node in self.file.items("nodes") for child in node.get("children", [])}
+            roots = [index for index in range(len(self.file.items("nodes"))) if index not in children]
+        waiting = [(index, np.eye(4)) for index in reversed(roots)]
+        while waiting:
+            index, parent = waiting.pop()
+            node = self.file.item("nodes", index)
+            if index in self.world:
+                raise ValueError(f"{self.file.path} is damaged: node {index} has two parents, or is its own")
+            self.world[index] = parent @ _local(node)
+            extensions = node.get("extensions", {})
+            if not extensions.get("KHR_node_visibility", {}).get("visible", True):
+                continue
+            if "KHR_lights_punctual" in extensions:
+                self.losses["a lamp (KHR_lights_punctual)"] += 1
+            waiting += [(child, self.world[index]) for child in reversed(node.get("children", []))]
+        yield from ((index, self.file.item("nodes", index)) for index in list(self.world) if self._visible(index))
+
+    def _visible(self, index: int) -> bool:
+        extensions = self.file.item("nodes", index).get("extensions", {})
+        return bool(extensions.get("KHR_node_visibility", {}).get("visible", True))
+
+    def _instances(self, index: int, node: dict[str, Any], part: Part, primitive: dict[str, Any]) -> list[Part]:
+        """A part where its node, its skin or its instances place it; none where that leaves no area."""
+        if "skin" in node:
+            return [self._posed(part, primitive["attributes"], self.file.item("skins", node["skin"]))]
+        instancing = node.get("extensions", {}).get("EXT_mesh_gpu_instancing")
+        matrices = [np.eye(4)] if instancing is None else self._instance_matrices(instancing["attributes"])
+        world = [self.world[index] @ matrix for matrix in matrices]
+        return [transformed(part, torch.from_numpy(m)) for m in world if np.linalg.matrix_rank(m[:3, :3]) > 1]
+
+    def _instance_matrices(self, attributes: dict[str, int]) -> list[Matrix]:
+        """The matrices of EXT_mesh_gpu_instancing."""
+        arrays = {name: gltf.array(self.file, index).astype(np.float64) for name, index in attributes.items()}
+        count = min(map(len, arrays.values()))
+        keys = {"TRANSLATION": "translation", "ROTATION": "rotation", "SCALE": "scale"}
+        return [_local({key: arrays[name][k] for name, key in keys.items() if name in arrays}) for k in range(count)]
+
+    def _posed(self, part: Part, attributes: dict[str, int], skin: dict[str, Any]) -> Part:
+        """A part in the pose that its joints have in the file (3.7.3.3)."""
+        joints = skin["joints"]
+        inverse = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
+        if "inverseBindMatrices" in skin:
+            inverse = gltf.array(self.file, skin["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2)
+        matrices = np.stack([self.world.get(j, np.eye(4)) @ m for j, m in zip(joints, inverse, strict=True)])
+        blended = np.zeros((len(part.vertices), 4, 4))
+        for k in range(len(attributes)):
+            if f"JOINTS_{k}" in attributes:
+                which = gltf.array(self.file, attributes[f"JOINTS_{k}"]).astype(np.int64)
+                weights = gltf.array(self.file, attributes[f"WEIGHTS_{k}"]).astype(np.float64)
+                blended += np.einsum("vj,vjab->vab", weights, matrices[which])
+        homogeneous = np.concatenate((part.vertices.double().numpy(), np.ones((len(blended), 1))), 1)
+        vertices = torch.from_numpy(np.einsum("vab,vb->va", blended, homogeneous)[:, :3])
+        normals = None
+        if part.normals is not None:
+            turned = np.linalg.pinv(blended[:, :3, :3]).swapaxes(1, 2)
+            normals = torch.from_numpy(np.einsum("vab,vb->va", turned, part.normals.double().numpy()))
+        return Part(part.name, vertices, part.faces, normals, part.uv, part.colours, part.texture, part.material)
+
+    def _primitive(self, node: dict[str, Any], primitive: dict[str, Any]) -> Part | None:
+        """A primitive in its own space; None where it has no triangles."""
+        mode = primitive.get("mode", TRIANGLES)
+        attributes = primitive["attributes"]
+        if mode not in (TRIANGLES, STRIP, FAN) or "POSITION" not in attributes:
+            self.losses["points or lines"] += 1
+            return None
+        mesh = self.file.item("meshes", node["mesh"])
+        weights = node.get("weights", mesh.get("weights", []))
+        vertices = self._morphed("POSITION", primitive, weights)
+        faces = self._faces(primitive, mode, len(vertices))
+        look = self.materials.of(primitive.get("material"))
+        colours = None
+        if "COLOR_0" in attributes:
+            colours = torch.from_numpy(gltf.array(self.file, attributes["COLOR_0"])[:, :3].astype(np.float32))
+        return Part(
+            mesh.get("name", ""),
+            torch.from_numpy(vertices),
+            torch.from_numpy(faces),
+            normals=torch.from_numpy(self._morphed("NORMAL", primitive, weights)) if "NORMAL" in attributes else None,
+            uv=self._uv(attributes, look),
+            colours=colours,
+            texture=look.texture,
+            material=look.material,
+        )
+
+    def _morphed(self, name: str, primitive: dict[str, Any], weights: Sequence[float]) -> NDArray[np.float64]:
+        """An attribute (v, 3) with the morph targets by their weights (3.7.2.2)."""
+        values = gltf.array(self.file, primitive["attributes"][name]).astype(np.float64)
+        for weight, target in zip(weights, primitive.get("targets", []), strict=False):
+            if weight and name in target:
+                values = values + weight * gltf.array(self.file, target[name])
+        return values
+
+    def _faces(self, primitive: dict[str, Any], mode: int, count: int) -> NDArray[np.int64]:
+        """The triangles (f, 3) of a primitive."""
+        corners = np.arange(count)
+        if "indices" in primitive:
+            corners = gltf.array(self.file, primitive["indices"])[:, 0].astype(np.int64)
+            if corners.max() >= count:
+                raise ValueError(f"{self.file.path} is damaged: an index of {int(corners.max())} for {count} vertices")
+        if mode == TRIANGLES:
+            return corners[: len(corners) // 3 * 3].reshape(-1, 3)
+        if mode == FAN:
+            return np.stack((corners[1:-1], corners[2:], np.full(max(len(corners) - 2, 0), corners[0])), 1)
+        faces = np.stack((corners[:-2], corners[1:-1], corners[2:]), 1)
+        faces[1::2] = faces[1::2][:, [0, 2, 1]]
+        return faces
+
+    def _uv(self, attributes: dict[str, int], look: Look) -> Tensor | None:
+        """Texture coordinates (v, 2), v up, those of the base colour."""
+        name = f"TEXCOORD_{look.uv_set}"
+        if name not in attributes:
+            if look.texture is not None:
+                raise ValueError(f"{self.file.path}: a texture asks for {name}, which its mesh does not have")
+            return None
+        uv = gltf.array(self.file, attributes[name]).astype(np.float64) @ look.uv_matrix[:, :2].T + look.uv_matrix[:, 2]
+        return torch.from_numpy(np.stack((uv[:, 0], 1 - uv[:, 1]), 1))
+
+
+def _local(node: dict[str, Any]) -> Matrix:
+    """The matrix (4, 4) of a node's matrix, or of its scale, rotation and translation (3.5.3)."""
+    if "matrix" in node:
+        return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
+    matrix = np.eye(4)
+    x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), dtype=np.float64)
+    length = x * x + y * y + z * z + w * w
+    if length > 0:
+        s = 2 / length
+        matrix[:3, :3] = (
+            (1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)),
+            (s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)),
+            (s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)),
+        )
+    matrix[:3, :3] *= np.array(node.get("scale", (1, 1, 1)), dtype=np.float64)
+    matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    return matrix
+
+
+def _names(file: gltf.File, keys: Sequence[tuple[int, int]]) -> dict[tuple[int, int], str]:
+    """A name of its own for each primitive of each mesh: that of the mesh, with a number where it is taken."""
+    names: dict[tuple[int, int], str] = {}
+    for mesh, number in keys:
+        base = file.item("meshes", mesh).get("name") or file.path.stem
+        taken = set(names.values())
+        counted = (base if k == 0 else f"{base}_{k}" for k in range(len(taken) + 1))
+        names[mesh, number] = next(name for name in counted if name not in taken)
+    return names
