@@ -28,7 +28,7 @@ import ptt
 from bench import mitsuba_check
 from bench.table import ROOT, Table, median_seconds, read_bandwidth, setting
 from ptt.ops import mesh
-from ptt.ops.grids import Cube
+from ptt.ops.sphere import Cube
 from ptt.scene.parts import Part
 
 STEPS = count()  # no two frames are alike

@@ -13,7 +13,7 @@ import ptt
 from ptt import reference
 from ptt.light import prefiltered as light_maps
 from ptt.ops import lobes, mesh, transfer
-from ptt.ops.grids import Cube
+from ptt.ops.sphere import Cube
 from ptt.ops.view import light_about
 from ptt.scene.parts import Part
 

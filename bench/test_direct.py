@@ -15,7 +15,7 @@ import torch
 import ptt
 from bench.table import setting
 from ptt.ops import transfer
-from ptt.ops.grids import Cube
+from ptt.ops.sphere import Cube
 
 Benchmark = Callable[..., Any]
 GRID = Cube(64)

@@ -14,8 +14,8 @@ from ptt.light import prefiltered as light_maps
 from ptt.models import slots
 from ptt.models.indirect import COARSE, responses
 from ptt.ops import haar, lobes, transfer
-from ptt.ops.grids import Cube
 from ptt.ops.octahedral import HemiOctahedral
+from ptt.ops.sphere import Cube
 from ptt.ops.view import light_about
 from ptt.transfer import bounces
 

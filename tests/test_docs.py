@@ -12,7 +12,7 @@ import ptt
 from bench import table
 
 ROOT = Path(__file__).resolve().parent.parent
-EXAMPLES = [f"ptt.ops{name}" for name in ("", ".geodesic", ".grids", ".haar", ".octahedral", ".rotation")]
+EXAMPLES = [f"ptt.ops{name}" for name in ("", ".geodesic", ".sphere", ".haar", ".octahedral", ".rotation")]
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

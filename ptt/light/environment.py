@@ -4,7 +4,7 @@
     light.radiance(directions)          # (..., 3)
     light.project(Cube(64))             # (6, 64, 64, 3), means of the cells
 
-The function is the bilinear interpolant of a lat-long map, in the convention of `ptt.ops.grids.LatLong`, texel
+The function is the bilinear interpolant of a lat-long map, in the convention of `ptt.ops.sphere.LatLong`, texel
 centres at half texels. It wraps around in u, and across the poles: beyond row 0 comes row 0, half a turn on.
 All that is derived from a map (means of cells, the integral, the sampler) belongs to this one function. The function's
 integral is the texels' sum by solid angle, but for the first and the last row, whose texels weigh 8 % more.
@@ -28,7 +28,7 @@ from ptt.light.layouts import Layout, to_latlong
 from ptt.ops import latlong
 from ptt.ops.compiling import in_python
 from ptt.ops.directions import turn
-from ptt.ops.grids import Grid, LatLong
+from ptt.ops.sphere import Grid, LatLong
 
 Colour = float | Sequence[float] | Tensor
 """Red, green and blue, or one number for grey; finite and >= 0."""

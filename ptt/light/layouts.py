@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from math import pi
 from os import PathLike
@@ -11,12 +12,13 @@ import torch
 from torch import Tensor
 
 from ptt.ops import latlong
-from ptt.ops.grids import LatLong
+from ptt.ops.sphere import LatLong
 
 Layout = Literal["auto", "latlong", "cross", "angular", "octahedral"]
 """The layout of the sphere in an image.
 
-auto: lat-long where width : height is 2:1, a cross where it is 3:4; a square says nothing, and is asked about
+auto: lat-long where width : height is 2:1, a cross where it is 3:4; a square is taken for an angular map, with a warning
+    that asks, since it says nothing
 latlong: that of `LatLong`
 cross: vertical, from the top +Y; -X -Z +X; -Y; +Z upside down
 angular: direction (sin(pi r) a / r, sin(pi r) b / r, -cos(pi r)), a to the right, b up, r = |(a, b)| <= 1
@@ -117,14 +119,19 @@ def to_latlong(image: Tensor, layout: str, path: str | PathLike[str]) -> Tensor:
     """
     if layout not in ("auto", *_LAYOUTS):
         raise ValueError(f"layout must be one of auto, {', '.join(_LAYOUTS)}, got {layout!r}")
-    height, width = image.shape[:2]
     if layout == "auto":
-        layout = next((name for name, (across, down) in _RATIOS.items() if width * down == height * across), "")
-    if not layout:
-        shapes = ", ".join(f"{across}:{down} ({name})" for name, (across, down) in _RATIOS.items())
-        names = ", ".join(map(repr, _LAYOUTS))
-        raise ValueError(
-            f"{path}: {width} x {height} is neither of {shapes}, the ratios that tell a layout: say which it is, "
-            f"layout= one of {names}"
-        )
+        layout = _by_ratio(*image.shape[:2], path)
     return _LAYOUTS[layout](image).contiguous()
+
+
+def _by_ratio(height: int, width: int, path: str | PathLike[str]) -> str:
+    """The layout that width : height tell."""
+    for name, (across, down) in _RATIOS.items():
+        if width * down == height * across:
+            return name
+    ask = f"say which it is: layout= one of {', '.join(map(repr, _LAYOUTS))}"
+    if width == height:
+        warnings.warn(f"{path}: a square may be any layout, and was taken for angular; {ask}", stacklevel=4)
+        return "angular"
+    shapes = ", ".join(f"{across}:{down} ({name})" for name, (across, down) in _RATIOS.items())
+    raise ValueError(f"{path}: {width} x {height} is neither of {shapes}, the ratios that tell a layout; {ask}")

@@ -20,8 +20,8 @@ from torch.nn.functional import pad
 from torch.utils.weak import WeakTensorKeyDictionary
 
 from ptt.ops import latlong, lobes
-from ptt.ops.grids import Grid
 from ptt.ops.octahedral import Octahedral, bordered
+from ptt.ops.sphere import Grid
 from ptt.ops.view import light_about
 
 FINE_SIDE = 256  # cells along an edge of the map from which lighting is read

@@ -11,7 +11,7 @@ from torch import Tensor
 from ptt.materials.material import Material
 from ptt.materials.shapes import Named
 from ptt.ops.albedo import albedo
-from ptt.ops.grids import Disk
+from ptt.ops.sphere import Disk
 
 DIFFUSE = 0.02  # quantile of a measured BRDF that counts as its diffuse part: the least values are noise
 NOISE = 1e-6  # share of the diffuse part: a shape whose albedo is no more is rounding
@@ -21,7 +21,7 @@ TEXELS = 20  # across the disk on which RGB data are separated: finer data take 
 def tabulated(values: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
     """A function f(wi, wo) of a table over the disk grid: values (n, n, n, n) [1/sr], rows and columns of wo, then wi.
 
-    Cell (j, i) is the direction with x = -1 + (2 i + 1) / n and y = -1 + (2 j + 1) / n (`ops.grids.Disk(n)`); cells
+    Cell (j, i) is the direction with x = -1 + (2 i + 1) / n and y = -1 + (2 j + 1) / n (`ops.sphere.Disk(n)`); cells
     that lie mostly outside of the unit circle are not read. Bilinear between cells.
 
     Raises:

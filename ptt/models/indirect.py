@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.ops import harmonics, lobes
-from ptt.ops.grids import Disk
+from ptt.ops.sphere import Disk
 
 ORDER = 4  # of the harmonics, as in the paper
 COARSE = 8  # cells along an edge of the cube map that lights the first bounce, as in the paper

@@ -14,7 +14,7 @@ from ptt.materials.shapes import Shape
 from ptt.materials.spaces import BRDF, BRDFSpace
 from ptt.models import kept
 from ptt.ops import lobes, separation, transfer, tucker
-from ptt.ops.grids import Disk
+from ptt.ops.sphere import Disk
 
 RESOLUTION = 32  # texels across the disk; 48 lower the error of exponent 20 from 7.9 to 7.7 %
 TRIAL = 16  # texels across the disk on which the number of lobes is decided

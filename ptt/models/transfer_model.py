@@ -17,8 +17,8 @@ from ptt.models.clustered_transfer import ClusteredTransfer
 from ptt.models.receivers import Receivers
 from ptt.models.slots import Slot, slots_of
 from ptt.models.tensor_brdf import TensorBRDF
-from ptt.ops.grids import Cube
 from ptt.ops.haar import Truncated
+from ptt.ops.sphere import Cube
 
 KIND = "transfer model"
 

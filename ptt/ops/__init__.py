@@ -4,7 +4,7 @@ One equation, per point v (Sun et al. 2007, equation 1):
 
     B(v, wo) = integral over the sphere of  L(wi) V(v, wi) f(wi, wo) max(wi . n, 0) dwi
 
-The BRDF as a Tucker tensor (equation 2; `tucker`, on the disk grid of `grids`, where the cosine is in the measure):
+The BRDF as a Tucker tensor (equation 2; `tucker`, on the disk grid of `sphere`, where the cosine is in the measure):
 
     f(h, wi, wo) ~ sum over h', o, i of  core[h', o, i] u_h[h, h'] u_o[o, wo] u_i[i, wi]
 
@@ -53,8 +53,8 @@ in harmonics of the hemisphere, not the sphere.
 
 Example, the integral of a constant over the sphere, in wavelets:
     >>> import torch
-    >>> from ptt.ops import grids, haar
-    >>> grid = grids.Cube(8)
+    >>> from ptt.ops import haar, sphere
+    >>> grid = sphere.Cube(8)
     >>> light, weight = haar.analyse(torch.ones(6, 8, 8).double()), haar.analyse(grid.solid_angles())
     >>> round(float((light * weight).sum() / torch.pi), 6)
     4.0

@@ -34,7 +34,7 @@ from torch import Tensor
 
 from ptt.ops.constants import ROOTS
 from ptt.ops.directions import checked_directions, triangle_solid_angles, unit
-from ptt.ops.grids import Grid, at_least_one
+from ptt.ops.sphere import Grid, at_least_one
 
 SIGNS = torch.tensor([[1, -1, -1, 1], [1, -1, 1, -1], [1, 1, -1, -1]])  # of psi_0, psi_1, psi_2 on the children
 FINEST_LEVEL = 9  # 5 million triangles

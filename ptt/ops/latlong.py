@@ -1,6 +1,6 @@
 """Lat-long maps as functions on the sphere: the bilinear interpolant of texels at half-texel centres.
 
-It wraps around in u, and across the poles: beyond row 0 comes row 0, half a turn on. `ptt.ops.grids.LatLong` has
+It wraps around in u, and across the poles: beyond row 0 comes row 0, half a turn on. `ptt.ops.sphere.LatLong` has
 the texels' directions and solid angles; here is what the interpolant adds.
 """
 
@@ -12,8 +12,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ptt.ops.grids import Grid, LatLong
 from ptt.ops.octahedral import Octahedral
+from ptt.ops.sphere import Grid, LatLong
 
 _LOOKUPS = 1 << 23  # `means` halves a map whose texels would ask for more; bounds its time
 _MIDPOINTS = 32  # of the coverage by a cap across each row of texels

@@ -28,7 +28,7 @@ from torch import Tensor
 
 from ptt.ops.constants import TILE
 from ptt.ops.directions import checked_directions, triangle_solid_angles, unit
-from ptt.ops.grids import Squares, at_least_one, centres, crossed, step_index
+from ptt.ops.sphere import Squares, at_least_one, centres, crossed, step_index
 
 
 def octahedral(d: Tensor) -> Tensor:

@@ -34,8 +34,8 @@ from scipy.sparse import block_diag, csr_array
 from torch import Tensor
 
 from ptt.ops import haar
-from ptt.ops.grids import Grid
 from ptt.ops.octahedral import Octahedral, mix
+from ptt.ops.sphere import Grid
 from ptt.ops.table import Table, stored
 
 SAMPLES = 4  # along the edge of a target's cell

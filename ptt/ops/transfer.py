@@ -17,9 +17,9 @@ import torch
 from torch import Tensor
 
 from ptt.ops import lobes
-from ptt.ops.grids import Cube
 from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.raycast import Surface
+from ptt.ops.sphere import Cube
 
 GOLDEN = math.pi * (3 - math.sqrt(5))  # turn [rad] from one direction of the spiral of `gather_directions` to the next
 POINTS_AT_ONCE = 64  # whose visibility is unpacked for lobes

@@ -12,7 +12,7 @@ from ptt.light import prefiltered
 from ptt.light.environment import Environment, Layer
 from ptt.light.prefiltered import LightMaps
 from ptt.ops.compiling import in_python, opaque, uncompiled
-from ptt.ops.grids import Grid
+from ptt.ops.sphere import Grid
 from ptt.relight.operations import operations
 
 

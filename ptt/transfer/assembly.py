@@ -20,7 +20,7 @@ from ptt.models.indirect import COARSE, COARSEST, ORDER, responses
 from ptt.models.slots import Slot, slots_of
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.ops import haar, transfer
-from ptt.ops.grids import Cube
+from ptt.ops.sphere import Cube
 from ptt.transfer.bounces import CUTS, Bounces
 from ptt.transfer.raw import RawTransfer
 

@@ -26,7 +26,7 @@ from ptt.models.indirect import COARSE, ORDER, blurs, responses
 from ptt.models.slots import OWN, Slot, slots_of
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.ops import haar, harmonics, lobes, octahedral, transfer
-from ptt.ops.grids import Cube
+from ptt.ops.sphere import Cube
 from ptt.transfer.raw import RawTransfer
 
 AXIS_CELLS = Cube(16)  # cells to which the axes of lobes are rounded: 5.6 degrees wide

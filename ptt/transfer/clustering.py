@@ -22,8 +22,8 @@ from ptt.models.indirect import ORDER
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import cpca
 from ptt.ops.constants import MOST_LOBES
-from ptt.ops.grids import Cube
 from ptt.ops.octahedral import tiles
+from ptt.ops.sphere import Cube
 from ptt.transfer.assembly import ALWAYS, Transfer, natural
 
 SKETCH_DIRECTIONS = 256  # common directions of the features: more take longer and lose less of them

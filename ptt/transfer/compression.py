@@ -6,8 +6,8 @@ from ptt.materials.spaces import BRDFSpace
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.models.transfer_model import SparseTransfer, TransferModel
-from ptt.ops.grids import Cube
 from ptt.ops.haar import Truncated
+from ptt.ops.sphere import Cube
 from ptt.transfer.assembly import assemble, direct_light
 from ptt.transfer.clustering import Clusters, cluster
 from ptt.transfer.raw import RawTransfer

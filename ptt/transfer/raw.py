@@ -12,7 +12,7 @@ from tqdm import tqdm
 from ptt.io import saved
 from ptt.models.receivers import Receivers
 from ptt.ops import transfer
-from ptt.ops.grids import Cube
+from ptt.ops.sphere import Cube
 from ptt.scene.scene import Scene
 
 POINTS_AT_ONCE = 128  # about 1.5 million rays

@@ -12,7 +12,7 @@ from torch import Tensor
 
 import ptt
 from ptt.ops.albedo import albedo
-from ptt.ops.grids import Disk
+from ptt.ops.sphere import Disk
 
 KD = torch.tensor([0.3, 0.1, 0.05]).double()
 KS = torch.tensor([0.2, 0.6, 0.4]).double()

@@ -15,7 +15,7 @@ from ptt.materials.shapes import Shape
 from ptt.models import tensor_brdf
 from ptt.ops import brdf, lobes
 from ptt.ops.albedo import albedo, nodes
-from ptt.ops.grids import Disk
+from ptt.ops.sphere import Disk
 
 SPACE = BRDFSpace.blinn_phong(tuple(2 ** (k / 4) for k in range(25)))
 

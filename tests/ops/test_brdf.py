@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ptt.ops import brdf
 from ptt.ops.albedo import albedo
-from ptt.ops.grids import Disk
+from ptt.ops.sphere import Disk
 
 EXPONENTS = (0, 0.5, 1, 20, 1e3, 1e6)
 SLOPES = (1e-4, 0.01, 0.05, 0.3, 1.0)

@@ -9,8 +9,8 @@ import torch
 from scipy.integrate import dblquad
 
 from ptt.light.environment import Environment
-from ptt.ops.grids import Grid, LatLong
 from ptt.ops.octahedral import HemiOctahedral, Octahedral, corners, hemi_octahedral, octahedral
+from ptt.ops.sphere import Grid, LatLong
 
 SPHERES = [Octahedral(2), Octahedral(4), Octahedral(16)]
 HEMISPHERES = [HemiOctahedral(1), HemiOctahedral(2), HemiOctahedral(4), HemiOctahedral(5), HemiOctahedral(16)]

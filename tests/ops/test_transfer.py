@@ -12,8 +12,8 @@ from torch import Tensor
 import ptt
 from ptt.models.transfer_model import SparseTransfer
 from ptt.ops import haar, mesh, transfer
-from ptt.ops.grids import Cube
 from ptt.ops.octahedral import HemiOctahedral
+from ptt.ops.sphere import Cube
 from ptt.scene.parts import Part
 
 

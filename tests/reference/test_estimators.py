@@ -15,7 +15,7 @@ from ptt import reference
 from ptt.light.environment import Environment
 from ptt.materials.material import Material, blinn_phong, cook_torrance, lambert
 from ptt.ops import mesh
-from ptt.ops.grids import LatLong
+from ptt.ops.sphere import LatLong
 from ptt.reference import Estimate, Points, along_rays, at_vertices, image, path_tracer, radiance
 from ptt.reference.sampling import Mixture
 from ptt.scene.camera import Camera

@@ -12,7 +12,7 @@ import ptt
 from ptt import Environment, Material, Scene
 from ptt.ops import mesh
 from ptt.ops.albedo import albedo, nodes
-from ptt.ops.grids import LatLong
+from ptt.ops.sphere import LatLong
 from ptt.reference import Estimate, Points, radiance, vertex_points
 from ptt.scene.parts import Part
 

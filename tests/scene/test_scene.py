@@ -610,7 +610,7 @@ def test_a_scene_file_says_how_its_map_is_laid_out(tmp_path: Path) -> None:
     for layout in ("angular", "octahedral"):
         scene = ptt.load_scene(_toml(tmp_path, f'environment = {{ file = "probe.exr", layout = "{layout}" }}\n' + BOX))
         assert scene.environment is not None
-    for given, reason in (('"probe.exr"', "layout= one of"), ("3", "a table with a file"), ("{ map = 1 }", "a file")):
+    for given, reason in (("3", "a table with a file"), ("{ map = 1 }", "a file")):
         with pytest.raises(ValueError, match=reason):
             ptt.load_scene(_toml(tmp_path, f"environment = {given}\n" + BOX))
 

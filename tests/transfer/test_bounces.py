@@ -16,8 +16,8 @@ from ptt import reference
 from ptt.models.indirect import COARSE, ORDER
 from ptt.models.slots import OWN, Slot, coefficients
 from ptt.ops import haar, harmonics, lobes, mesh, transfer
-from ptt.ops.grids import Cube, Disk
 from ptt.ops.octahedral import HemiOctahedral
+from ptt.ops.sphere import Cube, Disk
 from ptt.scene.parts import Part
 from ptt.transfer.assembly import _cuts
 from ptt.transfer.bounces import CUTS, Bounces

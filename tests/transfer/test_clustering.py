@@ -18,7 +18,7 @@ import ptt
 from ptt.models import slots
 from ptt.models.indirect import blurs, responses
 from ptt.ops import haar, harmonics, lobes, mesh, octahedral, plain
-from ptt.ops.grids import Cube
+from ptt.ops.sphere import Cube
 from ptt.scene.parts import Part
 from ptt.transfer.assembly import Transfer
 from ptt.transfer.bounces import CUTS

@@ -17,13 +17,13 @@ from ptt.light.prefiltered import samples
 from ptt.materials.shapes import BlinnPhong
 from ptt.ops import haar, native, near, rotation, slices
 from ptt.ops.geodesic import Geodesic
-from ptt.ops.grids import Cube
 from ptt.ops.haar import Truncated
 from ptt.ops.native import building, kernels, operators
 from ptt.ops.near import Near
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
 from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
 from ptt.ops.shade import Functions, RegionCoats, ShadedPoints
+from ptt.ops.sphere import Cube
 from ptt.ops.table import stored
 from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion
 

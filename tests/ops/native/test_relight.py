@@ -13,9 +13,9 @@ from ptt.light.prefiltered import samples
 from ptt.ops import native, relight
 from ptt.ops import view as plain
 from ptt.ops.directions import turn
-from ptt.ops.grids import Cube
 from ptt.ops.native.relight import TRANSFER
 from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
+from ptt.ops.sphere import Cube
 from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion, light_about
 
 W = 32

@@ -10,8 +10,8 @@ import torch
 from scipy.integrate import quad
 
 from ptt.ops.geodesic import Geodesic
-from ptt.ops.grids import Cube, Disk, Grid, LatLong
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
+from ptt.ops.sphere import Cube, Disk, Grid, LatLong
 
 GRIDS = [LatLong(1, 2), LatLong(5, 12), LatLong(64, 128), Cube(1), Cube(7), Cube(64)]
 DISKS = [Disk(1), Disk(2), Disk(7), Disk(32), Disk(101)]
