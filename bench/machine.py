@@ -64,10 +64,15 @@ def first(table: Table) -> None:
 
 
 def elsewhere(part: str, table: Table) -> None:
-    """The rows of a part of `bench.machine_parts`, with both sets of instructions."""
+    """The rows of a part of `bench.machine_parts`, with both sets of instructions.
+
+    Each has a cache of torch.compile's own: what was compiled for AVX2 and is loaded where AVX-512 is used corrupts
+    memory (torch 2.13).
+    """
     for variables in SETS.values():
-        for row in measured(part, **variables):
-            table.row(**row)  # type: ignore[arg-type]
+        with tempfile.TemporaryDirectory() as folder:
+            for row in measured(part, **variables, TORCHINDUCTOR_CACHE_DIR=folder):
+                table.row(**row)  # type: ignore[arg-type]
 
 
 def neighbours(table: Table) -> None:

@@ -17,7 +17,7 @@ from ptt.imaging.gbuffer import GBuffer
 from ptt.imaging.image import Image, render
 from ptt.imaging.metrics import relative_rmse
 from ptt.light.environment import Environment
-from ptt.materials.material import Material, Mixed, blinn_phong, cook_torrance, ggx, lambert, ward
+from ptt.materials.material import Material, Mixed, blinn_phong, cook_torrance, ggx, lambert, metal_rough, ward
 from ptt.materials.measured import MERL, NeuralBRDF
 from ptt.materials.shapes import GGX, Blend, BlinnPhong, CookTorrance, Named, Ward
 from ptt.materials.spaces import BRDFSpace, fitted
@@ -82,6 +82,7 @@ __all__ = [
     "ggx",
     "lambert",
     "load_scene",
+    "metal_rough",
     "precompute",
     "reference",
     "relative_rmse",

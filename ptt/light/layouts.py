@@ -17,8 +17,8 @@ from ptt.ops.sphere import LatLong
 Layout = Literal["auto", "latlong", "cross", "angular", "octahedral"]
 """The layout of the sphere in an image.
 
-auto: lat-long where width : height is 2:1, a cross where it is 3:4; a square is taken for an angular map, with a warning
-    that asks, since it says nothing
+auto: lat-long where width : height is 2:1, a cross where it is 3:4; a square says nothing, and is taken for an angular
+    map with a warning that asks
 latlong: that of `LatLong`
 cross: vertical, from the top +Y; -X -Z +X; -Y; +Z upside down
 angular: direction (sin(pi r) a / r, sin(pi r) b / r, -cos(pi r)), a to the right, b up, r = |(a, b)| <= 1
@@ -120,7 +120,7 @@ def to_latlong(image: Tensor, layout: str, path: str | PathLike[str]) -> Tensor:
     if layout not in ("auto", *_LAYOUTS):
         raise ValueError(f"layout must be one of auto, {', '.join(_LAYOUTS)}, got {layout!r}")
     if layout == "auto":
-        layout = _by_ratio(*image.shape[:2], path)
+        layout = _by_ratio(image.shape[0], image.shape[1], path)
     return _LAYOUTS[layout](image).contiguous()
 
 

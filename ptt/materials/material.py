@@ -12,10 +12,12 @@ import torch
 from torch import Tensor
 
 from ptt.materials import shapes
-from ptt.materials.shapes import GGX, BlinnPhong, CookTorrance, Number, Shape, Ward, check
+from ptt.materials.shapes import GGX, BlinnPhong, CookTorrance, Number, Shape, Ward, check, check_number
 from ptt.ops import brdf
 
 Colour = float | Sequence[float] | Tensor
+DIELECTRIC = 0.04  # reflectance straight on of glass and plastic, whose index of refraction is 1.5
+SMOOTHEST = 0.03  # roughness of GGX that stands for 0: a narrower lobe is a mirror
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -144,6 +146,27 @@ def ward(diffuse: Colour = 0.5, specular: Colour = 0.3, ax: Number = 0.2, ay: Nu
 def ggx(diffuse: Colour = 0.5, specular: Colour = 1.0, f0: Colour = 0.04, roughness: Number = 0.5) -> Material:
     """Today's microfacet model: a dielectric with specular 1 and f0 0.04, a metal with diffuse 0 and a coloured f0."""
     return _schlick(diffuse, specular, f0, lambda reflectance: GGX(reflectance, roughness))
+
+
+def metal_rough(
+    base: Colour = 0.8, metallic: float = 0.0, roughness: float = 0.5, reflectance: Colour = DIELECTRIC
+) -> Material:
+    """The metallic-roughness material of glTF, Blender and others, as GGX over a diffuse part.
+
+    base (3,): albedo of the dielectric, what the metal reflects straight on
+    metallic: 0 for a dielectric, 1 for a metal, and linear in between
+    roughness: 0..1; below 0.03 it is 0.03
+    reflectance (3,): what the dielectric reflects straight on
+
+        f = base (1 - metallic) (1 - reflectance) / pi + GGX of f0 = reflectance (1 - metallic) + base metallic
+    """
+    check_number("metallic", metallic, 0.0, 1.0)
+    check_number("roughness", roughness, 0.0, 1.0)
+    colour = _colour("base", base, 1.0)
+    straight = _colour("reflectance", reflectance, 1.0)
+    f0 = torch.lerp(straight, colour, float(metallic))
+    one = bool((f0 == f0[0]).all()) and not f0.requires_grad
+    return ggx((1 - metallic) * (1 - straight) * colour, 1.0, float(f0[0]) if one else f0, max(roughness, SMOOTHEST))
 
 
 def _schlick(diffuse: Colour, specular: Colour, f0: Colour, shape: Callable[[Number], Shape]) -> Material:

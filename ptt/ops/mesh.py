@@ -168,6 +168,39 @@ def weld(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return joined, index[faces], index
 
 
+def apart(faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Give the back of a sheet, faces (f, 3) that turn earlier ones over, its own vertices: together none has a normal.
+
+    faces of a mesh with `count` vertices -> faces (f, 3), and the old vertex (w,) of each new one, the old ones first
+    """
+    rows = torch.arange(count, device=faces.device)
+    ordered, order = faces.sort(1)
+    flipped = (order[:, 0] - order[:, 1]) * (order[:, 1] - order[:, 2]) * (order[:, 2] - order[:, 0]) < 0
+    _, index = torch.unique(ordered, dim=0, return_inverse=True)
+    numbers = torch.arange(len(faces), device=faces.device)
+    first = numbers.scatter_reduce(0, index, numbers, "amin", include_self=False)[index]
+    back = flipped != flipped[first]
+    if not bool(back.any()):
+        return faces, rows
+    own, renumbered = faces[back].unique(return_inverse=True)
+    faces = faces.index_put((back,), renumbered + count)
+    return faces, torch.cat((rows, own))
+
+
+def looks_inwards(vertices: Tensor, faces: Tensor) -> bool:
+    """Tell whether a surface is closed, every edge between two faces, and has its front inside: its volume is < 0."""
+    centred = vertices.double() - vertices.double().mean(0)
+    a, b, c = centred[faces].unbind(1)
+    if float((a * torch.linalg.cross(b, c)).sum()) >= 0:
+        return False
+    _, joined, _ = weld(vertices, faces)
+    joined = joined[sound_faces(vertices, faces)]
+    edges = torch.stack((joined, joined.roll(-1, 1)), 2).reshape(-1, 2)
+    there, ways = torch.unique(edges, dim=0, return_counts=True)
+    back, others = torch.unique(edges.flip(1), dim=0, return_counts=True)
+    return torch.equal(there, back) and torch.equal(ways, others)
+
+
 def subdivide(faces: Tensor, count: int, cut: Tensor | None = None) -> tuple[Tensor, Tensor]:
     """Cut triangles at the middles of their edges: all edges, which makes four triangles of each, or some.
 

@@ -119,9 +119,10 @@ def unshadowed(
 ) -> Estimate:
     """`radiance` (n, 3) of points from which nothing hides the light: the truth for `EnvMapRelighter`."""
     centre, radius = scene.bounds
-    # every region is a triangle so small and so far below that it hides nothing
-    speck = centre + radius * (1e-3 * torch.eye(3) + torch.tensor([0.0, -1e4, 0.0]))
-    parts = [Part(region.name, speck, torch.tensor([[0, 1, 2]])) for region in scene.regions]
+    # every region is two triangles so small and so far above and below that they hide nothing
+    far = torch.tensor([0.0, 1e4, 0.0])
+    specks = centre + radius * torch.cat((1e-3 * torch.eye(3) - far, 1e-3 * torch.eye(3) + far))
+    parts = [Part(region.name, specks, torch.tensor([[0, 1, 2], [3, 4, 5]])) for region in scene.regions]
     return radiance(Scene.from_parts(parts), environment, materials, points, wo, **settings)
 
 

@@ -60,6 +60,12 @@ class Camera:
         around = (self.target[0] + c * x + s * z, self.target[1] + y, self.target[2] - s * x + c * z)
         return replace(self, eye=around)
 
+    def moved(self, by: Tensor) -> Camera:
+        """The camera moved by a vector (3,)."""
+        x, y, z = by.tolist()
+        eye, target = ((at[0] + x, at[1] + y, at[2] + z) for at in (self.eye, self.target))
+        return replace(self, eye=eye, target=target)
+
     def axes(self) -> Tensor:
         """Unit vectors (3, 3) float64: to the right, up, and ahead in the image."""
         return torch.tensor(self._axes(), dtype=torch.float64)

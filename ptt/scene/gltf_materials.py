@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ptt.io import gltf
-from ptt.materials.material import Material, ggx
+from ptt.materials.material import Material, ggx, metal_rough
 from ptt.scene.textures import Texture, Wrap, from_image
 
 IOR = 1.5
-ROUGHEST, SMOOTHEST = 1.0, 0.03  # roughness that GGX is asked for: zero would be a mirror
 WRAPS: dict[int, Wrap] = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 LOST = {
     "KHR_materials_anisotropy": "anisotropy",
@@ -77,13 +76,16 @@ class Materials:
             metallic *= float(mean[2])
             self.losses["a metallic-roughness texture, taken as its mean"] += 1
         reflectance = self._reflectance(material)
-        look = _metal_rough(base, metallic, roughness, reflectance)
+        metallic, roughness = (min(max(x, 0.0), 1.0) for x in (metallic, roughness))
+        look = metal_rough(base, metallic, roughness, reflectance)
         if "baseColorTexture" not in pbr:
             return Look(look)
         info = pbr["baseColorTexture"]
         texture = self._texture(info, srgb=True)
         if metallic > 0:  # the texture multiplies diffuse parts alone: of a metal's highlight its mean does
-            look = _metal_rough(base, metallic, roughness, reflectance, texture.pixels.mean((0, 1)))
+            seen = metal_rough(base * texture.pixels.mean((0, 1)), metallic, roughness, reflectance)
+            first, *more = seen.highlights
+            look = Material(look.diffuse, first.colour, first.shape, *more)
             self.losses["a metal's texture, taken as its mean in highlights"] += 1
         transform = info.get("extensions", {}).get("KHR_texture_transform", {})
         return Look(look, texture, transform.get("texCoord", info.get("texCoord", 0)), _uv_matrix(transform))
@@ -127,19 +129,6 @@ class Materials:
         sampler = self.file.item("samplers", texture["sampler"]) if "sampler" in texture else {}
         wrap = WRAPS[sampler.get("wrapS", 10497)], WRAPS[sampler.get("wrapT", 10497)]
         return Texture(self._pixels[source], wrap)
-
-
-def _metal_rough(
-    base: Tensor, metallic: float, roughness: float, reflectance: Tensor, of_texture: Tensor | None = None
-) -> Material:
-    """GGX over a diffuse part; of_texture (3,): what a texture multiplies the base colour by, in highlights."""
-    metal = min(max(metallic, 0.0), 1.0)
-    seen = base if of_texture is None else base * of_texture
-    f0 = (reflectance * (1 - metal) + seen * metal).clamp(0, 1)
-    weakest = 1 - reflectance.clamp(max=1)
-    roughness = min(max(roughness, SMOOTHEST), ROUGHEST)
-    grey = bool((f0 == f0[0]).all())
-    return ggx((1 - metal) * weakest * base, 1.0, float(f0[0]) if grey else f0, roughness)
 
 
 def _uv_matrix(transform: dict[str, Any]) -> NDArray[np.float64]:

@@ -14,6 +14,8 @@ from ptt.materials.material import Material, blinn_phong
 from ptt.ops import mesh
 from ptt.scene.textures import Texture
 
+FAR = 1000.0  # sizes from the origin, where float32 rounds positions to 6e-5 of the size
+
 
 @dataclass(frozen=True, eq=False)
 class Part:
@@ -36,6 +38,7 @@ class PreparedPart:
 
     colours: the base colour, that of the texture included; tints: what multiplies the texture, None for white
     dropped: triangles without area that it lost; renewed: vertices whose normal was repaired
+    inward: says whether it is closed and looks inwards
     """
 
     vertices: Tensor
@@ -49,11 +52,30 @@ class PreparedPart:
     material: Material
     dropped: int
     renewed: int
+    inward: bool
 
 
 def default_material(coloured: bool = False) -> Material:
     """The material of a region that has none: a little gloss over grey, or over its own base colour."""
     return blinn_phong(0.96 if coloured else 0.6, 0.04, 20.0)
+
+
+def near_origin(parts: Sequence[Part]) -> tuple[Sequence[Part], Tensor]:
+    """Parts, moved to the origin where they lie further away than FAR times their size; and their old centre (3,)."""
+    nowhere = torch.zeros(3, dtype=torch.float64)
+    points = [torch.as_tensor(part.vertices).double() for part in parts]
+    if not all(p.ndim == 2 and p.shape[1:] == (3,) and len(p) and bool(p.isfinite().all()) for p in points):
+        return parts, nowhere  # which is refused where each is prepared
+    low = torch.stack([p.amin(0) for p in points]).amin(0)
+    high = torch.stack([p.amax(0) for p in points]).amax(0)
+    centre = (low + high) / 2
+    if float(centre.abs().max()) <= FAR * float((high - low).max()):
+        return parts, nowhere
+    message = (
+        f"positions were moved by {(-centre).tolist()}, to the origin: float32 has too little precision for their own"
+    )
+    warnings.warn(message, UserWarning, stacklevel=4)
+    return [replace(part, vertices=p - centre) for part, p in zip(parts, points, strict=True)], centre
 
 
 def prepare(parts: Sequence[Part]) -> list[PreparedPart]:
@@ -69,6 +91,11 @@ def prepare(parts: Sequence[Part]) -> list[PreparedPart]:
     if dropped or renewed:
         counts = f"{dropped} triangles without area dropped, {renewed} vertices without a normal given one"
         warnings.warn(f"mesh repaired: {counts}", UserWarning, stacklevel=4)
+    if inward := [part.name for part, ready in zip(parts, prepared, strict=True) if ready.inward]:
+        names = ", ".join(inward)
+        warnings.warn(
+            f"closed, and wound inside out: {names}: from outside they are black; flip their faces", stacklevel=4
+        )
     return prepared
 
 
@@ -85,9 +112,15 @@ def _prepare(part: Part) -> PreparedPart:
     count = len(vertices)
     uv = None if part.uv is None else _rows("uv", part.uv, (count, 2))
     texture = None if part.texture is None else _checked_texture(part.texture, uv)
-    normals, renewed = _normals(part, vertices, faces)
     tints = None if part.colours is None else _rows("colours", part.colours, (count, 3))
-    colours = torch.ones(count, 3) if tints is None else tints
+    given = None if part.normals is None else _rows("normals", part.normals, (count, 3), finite=False).double()
+    faces, rows = mesh.apart(faces, count)
+    vertices = vertices[rows]
+    uv, tints, given = (None if x is None else x[rows] for x in (uv, tints, given))
+    if given is not None:
+        given[count:] = 0  # of backs, whose normals are none of the file's
+    normals, renewed = _normals(given, vertices, faces)
+    colours = torch.ones(len(vertices), 3) if tints is None else tints
     if texture is not None and uv is not None:
         colours = colours * texture.at(uv)
     return PreparedPart(
@@ -102,15 +135,15 @@ def _prepare(part: Part) -> PreparedPart:
         material=part.material or default_material(texture is not None or part.colours is not None),
         dropped=dropped,
         renewed=renewed,
+        inward=mesh.looks_inwards(vertices, faces),
     )
 
 
-def _normals(part: Part, vertices: Tensor, faces: Tensor) -> tuple[Tensor, int]:
-    """Unit normals (v, 3), float64, and how many had to be repaired."""
+def _normals(given: Tensor | None, vertices: Tensor, faces: Tensor) -> tuple[Tensor, int]:
+    """Unit normals (v, 3), float64, the given ones where they have a length, and how many had to be repaired."""
     normals = mesh.vertex_normals(vertices, faces)
     known = (normals != 0).any(1)
-    if part.normals is not None:
-        given = _rows("normals", part.normals, (len(vertices), 3), finite=False).double()
+    if given is not None:
         length = given.norm(dim=1)
         known = length.isfinite() & (length > 0)
         normals = torch.where(known[:, None], given / length[:, None], normals)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import torch
@@ -16,7 +16,7 @@ from ptt.ops import mesh
 from ptt.ops.octahedral import mix
 from ptt.ops.raycast import Surface
 from ptt.scene.camera import Camera
-from ptt.scene.parts import Part, prepare
+from ptt.scene.parts import Part, near_origin, prepare
 from ptt.scene.textures import Texture
 
 INSET = 0.01  # share of the way from a vertex to the middle of its triangles at which it is lit (`Scene.points`)
@@ -50,6 +50,8 @@ class Scene:
     materials: default Material of each region, by name
     camera: the one given, or one that frames all parts
     environment: the one given, or None
+    offset (3,) float64: what was subtracted from positions that lie far from the origin for their size, else 0
+    offset (3,) float64: what was subtracted from the positions of a scene far from the origin, else 0
     """
 
     vertices: Tensor
@@ -64,6 +66,7 @@ class Scene:
     camera: Camera
     environment: Environment | None = None
     tints: Tensor | None = None
+    offset: Tensor = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
 
     @classmethod
     def from_mesh(
@@ -98,9 +101,12 @@ class Scene:
     ) -> Scene:
         """Check, repair and join parts, one region each. The default camera frames them all.
 
-        Triangles without area are dropped. A vertex whose given normal is zero or not finite takes the normal of its
-        triangles; a vertex without triangles, or amid triangles that cancel, takes that of the nearest vertex that
-        has one. One warning counts these repairs over all parts.
+        Parts further from the origin than a thousand times their size are moved there, the given camera too, before
+        anything is rounded to float32: `offset` says how far, and a warning. Triangles without area are dropped. The
+        back of a sheet whose two sides share vertices gets its own. A vertex whose given normal is zero or not finite
+        takes the normal of its triangles; a vertex without triangles, or amid triangles that cancel, takes that of the
+        nearest vertex that has one. One warning counts these repairs over all parts, and one names parts that are
+        closed and wound inside out.
 
         Raises:
             ValueError: no parts; a name twice; vertices that are not finite; faces that are missing or out of
@@ -109,6 +115,9 @@ class Scene:
         names = [part.name for part in parts]
         if not parts or len(set(names)) < len(names):
             raise ValueError(f"parts must be at least one, with distinct names, got {names}")
+        parts, offset = near_origin(parts)
+        if camera is not None:
+            camera = camera.moved(-offset)
         ready = prepare(parts)
         counts = torch.tensor([len(r.vertices) for r in ready])
         starts = (counts.cumsum(0) - counts).tolist()
@@ -128,6 +137,7 @@ class Scene:
             environment=environment,
             camera=camera or Camera.framing(*_bounds(vertices)),
             tints=None if all(r.tints is None for r in ready) else torch.cat(tints),
+            offset=offset,
         )
 
     @cached_property
