@@ -69,8 +69,7 @@ class _Reader:
                 part = self._primitive(node, primitive)
                 if part is not None:
                     placed.setdefault((node["mesh"], number), []).extend(self._instances(index, node, part, primitive))
-        names = _names(self.file, sorted(key for key, instances in placed.items() if instances))
-        return [join(name, placed[key]) for key, name in names.items()]
+        return [join(name, placed[key]) for key, name in _names(self.file).items() if placed.get(key)]
 
     def _nodes(self) -> Iterator[tuple[int, dict[str, Any]]]:
         """The nodes of the scene that are visible, with their world matrices in `world` (3.5)."""
@@ -215,12 +214,13 @@ def _local(node: dict[str, Any]) -> Matrix:
     return matrix
 
 
-def _names(file: gltf.File, keys: Sequence[tuple[int, int]]) -> dict[tuple[int, int], str]:
-    """A name of its own for each primitive of each mesh: that of the mesh, with a number where it is taken."""
+def _names(file: gltf.File) -> dict[tuple[int, int], str]:
+    """A name of its own for each primitive of each mesh: that of the mesh, or the next number where it is taken."""
+    from trimesh.util import unique_name  # whose numbers scene files name parts by
+
     names: dict[tuple[int, int], str] = {}
-    for mesh, number in keys:
-        base = file.item("meshes", mesh).get("name") or file.path.stem
-        taken = set(names.values())
-        counted = (base if k == 0 else f"{base}_{k}" for k in range(len(taken) + 1))
-        names[mesh, number] = next(name for name in counted if name not in taken)
+    counts: dict[str | None, int] = {}
+    for number, mesh in enumerate(file.items("meshes")):
+        for k in range(len(mesh["primitives"])):
+            names[number, k] = unique_name(mesh.get("name") or file.path.stem, set(names.values()), counts)
     return names

@@ -14,7 +14,8 @@
     rotate = [0, 30, 0]                       # degrees about the world's x, then y, then z axis, then
     translate = [0, 0, 0]
     subdivide = 0                             # times: each triangle in four, without smoothing
-    edge = 0.1                                # after placing: longer edges are halved; light is kept at vertices
+    edge = 0.1                                # after placing: longer edges are halved, the longest of a triangle
+                                              # first; light is kept at vertices
     editable = true
     texture = "spot_texture.png"              # sRGB image over the mesh's own uv
     material = { model = "blinn-phong", diffuse = [0.5, 0.5, 0.5], specular = 0.1, exponent = 20 }
@@ -43,7 +44,7 @@ from torch import Tensor
 
 from ptt.light.environment import Environment
 from ptt.materials import material as materials
-from ptt.ops import mesh
+from ptt.ops import mesh, refine
 from ptt.ops.directions import turn
 from ptt.scene.camera import Camera
 from ptt.scene.hidden import without_hidden
@@ -178,35 +179,28 @@ def _three(name: str, value: Iterable[float]) -> list[float]:
 
 
 def _with_edges_up_to(part: Part, edge: float) -> Part:
-    """The part with longer edges halved until none is longer."""
+    """The part with longer edges halved until none is longer (`ops.refine`)."""
     if not edge > 0:
         raise ValueError(f"edge must be > 0, got {edge}")
-    while True:
-        corners = part.vertices[part.faces]
-        long = (corners - corners.roll(-1, 1)).norm(dim=2) > edge
-        if not bool(long.any()):
-            return part
-        if len(part.faces) + int(long.sum()) > MOST_TRIANGLES:
-            raise ValueError(f"edge = {edge:g} makes more than {MOST_TRIANGLES} triangles; take a longer one")
-        part = _subdivided(part, long)
-
-
-def _subdivided(part: Part, cut: Tensor | None = None) -> Part:
-    """The part with all edges halved, or with those in `cut` (f, 3)."""
     mesh.check_mesh(part.vertices, part.faces)
-    faces, edges = mesh.subdivide(part.faces, len(part.vertices), cut)
+    sound = part.faces[mesh.sound_faces(part.vertices, part.faces)]
+    faces, pairs = refine.refined(part.vertices, sound, edge, MOST_TRIANGLES)
+    return _with_vertices(part, faces, pairs)
 
-    def with_middles(values: Tensor) -> Tensor:
-        return torch.cat([values, values[edges].mean(1)])
 
-    return replace(
-        part,
-        vertices=with_middles(part.vertices),
-        faces=faces,
-        normals=None if part.normals is None else with_middles(part.normals),
-        uv=None if part.uv is None else with_middles(part.uv),
-        colours=None if part.colours is None else with_middles(part.colours),
-    )
+def _subdivided(part: Part) -> Part:
+    """The part with all edges halved."""
+    mesh.check_mesh(part.vertices, part.faces)
+    faces, edges = mesh.subdivide(part.faces, len(part.vertices))
+    return _with_vertices(part, faces, [edges])
+
+
+def _with_vertices(part: Part, faces: Tensor, pairs: list[Tensor]) -> Part:
+    """The part with faces that have vertices between pairs of others, too."""
+    names = ("vertices", "normals", "uv", "colours")
+    given = {name: getattr(part, name) for name in names}
+    finer = {name: refine.interpolated(values, pairs) for name, values in given.items() if values is not None}
+    return replace(part, faces=faces, **finer)
 
 
 def _value_of(table: Mapping[str, Any], key: str, kind: type[T], default: T) -> T:

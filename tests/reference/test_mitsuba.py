@@ -11,6 +11,7 @@ import torch
 import ptt
 from ptt.light.environment import Environment
 from ptt.scene.scene import Region
+from ptt.scene.textures import Texture
 
 mi = pytest.importorskip("mitsuba", reason="mitsuba is not installed: pip install mitsuba")
 
@@ -60,6 +61,6 @@ def test_radiance_is_that_of_mitsuba(light: str, bounces: int) -> None:
 
 def test_textures_are_refused() -> None:
     scene = ptt.default_scene()
-    textured = Region("cloth", texture=torch.ones(2, 2, 3))
+    textured = Region("cloth", texture=Texture(torch.ones(2, 2, 3)))
     with pytest.raises(ValueError, match="no textures"):
         mitsuba_check.mitsuba_scene(replace(scene, regions=(textured, *scene.regions[1:])), Environment.constant())

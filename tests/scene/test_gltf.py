@@ -384,6 +384,8 @@ def test_names_are_those_of_meshes(tmp_path: Path) -> None:
     asset = Asset()
     nameless = {"primitives": [asset.primitive, asset.primitive]}
     asset.tree["meshes"] = [asset.mesh, nameless, {"name": "quad", "primitives": [asset.primitive]}]
-    asset.tree["nodes"] = [{"mesh": k} for k in range(3)]
-    asset.tree["scenes"] = [{"nodes": [0, 1, 2]}]
-    assert [region.name for region in load(asset, tmp_path).regions] == ["quad", "a", "a_1", "quad_1"]
+    asset.tree["meshes"].append({"name": "leg_1", "primitives": [asset.primitive, asset.primitive]})
+    asset.tree["nodes"] = [{"mesh": k} for k in range(4)]
+    asset.tree["scenes"] = [{"nodes": [3, 2, 1, 0]}]
+    names = [region.name for region in load(asset, tmp_path).regions]
+    assert names == ["quad", "a", "a_1", "quad_1", "leg_1", "leg_2"]

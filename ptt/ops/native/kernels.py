@@ -58,9 +58,10 @@ def prepare(*sources: str) -> None:
 _prepared: set[str] = set()
 
 
-def available(kernel: str) -> bool:
-    """Whether a kernel can be built here; the first call builds it, or warns."""
-    return library(source_of(kernel)) is not None
+def available(kernel: str | None = None) -> bool:
+    """Whether a kernel, or without a name each of them, can be built here; the first call builds, or warns."""
+    sources = building.SOURCES if kernel is None else [source_of(kernel)]
+    return all(library(source) is not None for source in sources)
 
 
 @cache
