@@ -9,7 +9,7 @@ from os import PathLike
 import torch
 from torch import Tensor
 
-from ptt.io.images import write_image
+from ptt.io.images import png, write_image
 from ptt.light.environment import Environment
 from ptt.scene.camera import Camera
 from ptt.scene.scene import Scene
@@ -22,6 +22,15 @@ class Image:
     """A picture in linear RGB: pixels (height, width, 3), row 0 on top."""
 
     pixels: Tensor
+
+    def __repr__(self) -> str:
+        height, width, _ = self.pixels.shape
+        low, high = (float(end) for end in self.pixels.detach().aminmax())
+        return f"Image({width} x {height} pixels of {low:.3g} to {high:.3g})"
+
+    def _repr_png_(self) -> bytes:
+        """The picture as a notebook shows it, exposed by `exposure`."""
+        return png(self.pixels * 2.0 ** self.exposure())
 
     def exposure(self) -> float:
         """The stops for `save` that bring the brightest twentieth of the picture to white; 0 for a black picture."""

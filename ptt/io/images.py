@@ -6,12 +6,14 @@ values; `.png` holds eight bits with the sRGB transfer curve, clipped to [0, 1].
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+import PIL.Image
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
@@ -54,6 +56,14 @@ def write_image(path: str | PathLike[str], image: Tensor) -> None:
         bad = int((~image.isfinite()).sum())
         raise ValueError(f"image must be finite for {path.name}: {bad} of {image.numel()} values are not")
     write(path, np.ascontiguousarray(image.detach().cpu().numpy(), dtype=np.float32))
+
+
+def png(image: Tensor) -> bytes:
+    """A linear image (height, width, 3) as the bytes of a .png, sRGB, clipped to [0, 1]."""
+    buffer = io.BytesIO()
+    encoded = (to_srgb(image.detach().cpu()) * 255).round().to(torch.uint8)
+    PIL.Image.fromarray(encoded.numpy()).save(buffer, "PNG")
+    return buffer.getvalue()
 
 
 def _by_ending(path: Path, table: dict[str, _F]) -> _F:

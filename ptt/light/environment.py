@@ -71,7 +71,9 @@ class Environment:
     map (height, width, 3): linear RGB, float32, lat-long, width even [the map's own units]; may require grad
     rotation (3, 3): takes map directions to world directions, float64
 
-    `rotated`, `scaled` and `+` keep the maps as they are: what a relighter made ready of each serves them all.
+    `rotated`, `scaled` and `+` keep the maps as they are: what a relighter made ready of each serves them all, and is
+    made anew when a map changes. Writes through numpy or `.data`, which torch does not count, are seen where they
+    change one of 4096 values that are looked at, and always after `torch.autograd.graph.increment_version(map)`.
 
     Laws:
 
@@ -85,6 +87,9 @@ class Environment:
     """
 
     layers: tuple[Layer, ...]
+
+    def __repr__(self) -> str:
+        return f"Environment({' + '.join(map(_described, self.layers))})"
 
     def __init__(self, map: Tensor, rotation: Tensor | None = None) -> None:
         if map.ndim != 3 or map.shape[2] != 3 or map.shape[1] % 2 or map.numel() == 0:
@@ -353,6 +358,14 @@ def _checked_largest(name: str, values: Tensor) -> float:
         return largest
     bad = int((~(values.abs() <= LARGEST_RADIANCE)).sum())
     raise ValueError(f"{name} must be finite: {bad} of {values.numel()} values are NaN or beyond {LARGEST_RADIANCE:g}")
+
+
+def _described(layer: Layer) -> str:
+    """A layer in a few words."""
+    height, width, _ = layer.texels.shape
+    turned = "" if torch.equal(layer.rotation, torch.eye(3, dtype=torch.float64)) else ", turned"
+    gain = f", times {[round(x, 4) for x in layer.gain.tolist()]}" if layer.changed else ""
+    return f"map of {width} x {height}, at most {layer.largest:.3g}{gain}{turned}"
 
 
 def _check_rotation(r: Tensor) -> None:

@@ -20,6 +20,7 @@ from torch.nn.functional import pad
 from torch.utils.weak import WeakTensorKeyDictionary
 
 from ptt.ops import latlong, lobes
+from ptt.ops.marks import mark
 from ptt.ops.octahedral import Octahedral, bordered
 from ptt.ops.sphere import Grid
 from ptt.ops.view import light_about
@@ -58,11 +59,12 @@ def light_maps(
     if texels.is_inference() or (torch.is_grad_enabled() and texels.requires_grad):
         return _made(texels, angles, octahedral_means)
     made = _READY.setdefault(texels, {})
-    key = (texels._version, tuple(angles), octahedral_means)
+    now = mark(texels)
+    key = (now, tuple(angles), octahedral_means)
     if key not in made:
         with torch.inference_mode(False), torch.no_grad():
             ready = _made(texels, angles, octahedral_means)
-        stale = [other for other in made if other[0] != texels._version]
+        stale = [other for other in made if other[0] != now]
         for other in stale:
             del made[other]
         made[key] = ready

@@ -187,6 +187,11 @@ def materials_of_regions(own: Mapping[str, Any], given: Mapping[str, Any], mixed
         ValueError: no region has a given name, or a value is no material.
     """
     kinds = (Material, Mixed) if mixed else (Material,)
+    if not isinstance(given, Mapping):
+        one = next(iter(own))
+        raise ValueError(
+            f"materials must map regions to materials, as {{{one!r}: material}}, got {type(given).__name__}"
+        )
     if unknown := [name for name in given if name not in own]:
         raise ValueError(f"no region {', '.join(unknown)}; there are {', '.join(own)}")
     if wrong := [name for name, material in given.items() if not isinstance(material, kinds)]:
@@ -240,7 +245,10 @@ def from_config(config: Mapping[str, Any]) -> Material:
 
 def _colour(name: str, value: Colour, high: float) -> Tensor:
     """A colour (3,), checked to lie in 0..high."""
-    colour = torch.as_tensor(value, dtype=torch.float32)
+    try:
+        colour = torch.as_tensor(value, dtype=torch.float32)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{name} must be one number or (3,) linear RGB, got {value!r}") from error
     if colour.ndim == 0:
         colour = colour.expand(3)
     if colour.shape != (3,):

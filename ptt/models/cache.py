@@ -11,20 +11,25 @@ import torch
 from torch import Tensor, nn
 
 from ptt.ops.compiling import in_python, opaque, uncompiled
+from ptt.ops.marks import mark, version
 
 SMALL = 64  # tensors of up to this many elements are compared by value
 
 
 @in_python
 class Watch:
-    """Tensors that are equal to themselves alone, and only until one is written to."""
+    """Tensors that are equal to themselves alone, and only until one is written to.
 
-    def __init__(self, tensors: Iterable[Tensor]) -> None:
+    given: says whether they are a user's, who may write to them through numpy or `.data`, which torch does not count:
+        some of their values are looked at, too (`ptt.ops.marks`)
+    """
+
+    def __init__(self, tensors: Iterable[Tensor], given: bool = False) -> None:
         self.tensors = tuple(tensors)
-        self.versions = [-1 if t.is_inference() else t._version for t in self.tensors]
+        self.marks = [mark(t) if given else version(t) for t in self.tensors]
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Watch) or other.versions != self.versions:
+        if not isinstance(other, Watch) or other.marks != self.marks:
             return False
         return all(map(operator.is_, self.tensors, other.tensors))
 
@@ -40,8 +45,7 @@ class Cache:
     """Remembers the last result of one step."""
 
     def __init__(self) -> None:
-        self._stamp: Any = None
-        self._result: Any = None
+        self._kept: tuple[Any, Any] = (None, None)
 
     @uncompiled
     def __call__(self, inputs: Any, compute: Callable[[], Any]) -> Any:
@@ -52,10 +56,11 @@ class Cache:
         stamp = _stamp_of(inputs)
         if stamp is None:
             return compute()
-        if not _same(self._stamp, stamp):
-            self._result = compute()
-            self._stamp = stamp
-        return self._result
+        kept, result = self._kept  # both at once, and written so: other threads may ask too
+        if not _same(kept, stamp):
+            result = compute()
+            self._kept = (stamp, result)
+        return result
 
 
 @opaque
@@ -74,21 +79,22 @@ def _same(kept: Any, stamp: Any) -> bool:
     return bool(kept == stamp)
 
 
-def _stamp(value: Any, leaves: list[Tensor]) -> Any:
+def _stamp(value: Any, leaves: list[Tensor], given: bool = False) -> Any:
+    """What tells a value from others; dataclasses are a user's, and so is all that is in them."""
     if isinstance(value, Tensor):
         leaves.append(value)
         if value.is_inference():
             return None
         if value.layout == torch.strided and value.numel() <= SMALL:
             return value.dtype, value.device, value.shape, value.tolist()
-        return Watch((value,))
+        return Watch((value,), given)
     if isinstance(value, Watch):
         leaves.extend(value.tensors)
         return value
     if is_dataclass(value) and not isinstance(value, type):
-        return type(value), [_stamp(getattr(value, f.name), leaves) for f in fields(value)]
+        return type(value), [_stamp(getattr(value, f.name), leaves, True) for f in fields(value)]
     if isinstance(value, Mapping):
-        return [(key, _stamp(item, leaves)) for key, item in value.items()]
+        return [(key, _stamp(item, leaves, given)) for key, item in value.items()]
     if isinstance(value, tuple | list):
-        return [_stamp(item, leaves) for item in value]
+        return [_stamp(item, leaves, given) for item in value]
     return value

@@ -36,6 +36,9 @@ class Receivers:
     editable: tuple[bool, ...]
     materials: dict[str, Material]
 
+    def __repr__(self) -> str:
+        return f"Receivers({len(self)} points in {', '.join(self.names)})"
+
     @classmethod
     def of(cls, scene: Scene, index: Tensor | None = None) -> Receivers:
         """The receivers at all vertices of a scene, or at those that index (v,), ascending, holds."""

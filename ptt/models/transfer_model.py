@@ -91,6 +91,18 @@ class TransferModel(nn.Module):
     frames: Tensor
     colours: Tensor
 
+    def __repr__(self) -> str:
+        """A few lines: what it is of, and what it shows."""
+        clusters = sum(region.clusters for region in self.clustered)
+        kind = f"{clusters} clusters" if clusters else "direct light of each point"
+        size = sum(buffer.numel() * buffer.element_size() for buffer in self.buffers()) / 1e6
+        shapes = sorted({sample.model for sample in self.brdf.space.samples})
+        return (
+            f"TransferModel of {len(self.positions)} points, {self.bounces} bounces, {kind}, {size:.0f} MB\n"
+            f"  regions: {', '.join(self.receivers.names)}\n"
+            f"  shows {', '.join(shapes)} ({len(self.brdf.space.samples)} samples, lobes of {self.brdf.angles} degrees)"
+        )
+
     def __init__(
         self,
         receivers: Receivers,

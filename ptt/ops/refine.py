@@ -59,7 +59,7 @@ def refined(vertices: Tensor, faces: Tensor, edge: float, most: int) -> tuple[Te
         ValueError: more than `most` faces are needed.
     """
     middles = Midpoints(vertices.double())
-    done = []
+    done: list[Tensor] = []
     while len(faces):
         if sum(map(len, done)) + len(faces) > most:
             raise ValueError(f"edge = {edge:g} makes more than {most} triangles; take a longer one")
@@ -76,7 +76,8 @@ def refined(vertices: Tensor, faces: Tensor, edge: float, most: int) -> tuple[Te
 def _lengths(vertices: Tensor, faces: Tensor) -> Tensor:
     """The lengths (f, 3) of the edges after each corner."""
     corners = vertices[faces]
-    return (corners - corners.roll(-1, 1)).norm(dim=2)
+    lengths: Tensor = torch.linalg.vector_norm(corners - corners.roll(-1, 1), dim=2)
+    return lengths
 
 
 def _longest_first(faces: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]:

@@ -39,6 +39,8 @@ class Relighter(nn.Module, ABC):
     """Whether a view may be a `GBuffer`."""
     mixed: ClassVar[bool] = False
     """Whether a region may have two materials."""
+    lights: ClassVar[tuple[type, ...]] = (Environment,)
+    """What may light it."""
     sources_in_c: ClassVar[tuple[str, ...]]
     """The files of kernels that the steps call, in `ptt/ops/native`."""
 
@@ -71,6 +73,9 @@ class Relighter(nn.Module, ABC):
         """The three steps."""
         if isinstance(view, GBuffer) and not self.pixels:
             raise ValueError(f"{type(self).__name__} relights vertices: view must be a Camera or a tensor")
+        if not isinstance(environment, self.lights):
+            given = type(environment).__name__
+            raise ValueError(f"environment must be a ptt.Environment (Environment.load reads a file), got {given}")
         chosen = self.chosen(materials)
         eye = eye_of(view, self.positions)
         points = self.points(view, eye, chosen)

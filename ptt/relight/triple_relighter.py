@@ -110,6 +110,7 @@ class TripleProductRelighter(Relighter):
 
     pixels = True
     mixed = True
+    lights = (Environment, Table)
     sources_in_c = ("maps", "light", "rotation", "near", "shading")
     frames: Tensor
     starts: Tensor

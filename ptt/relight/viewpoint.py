@@ -26,6 +26,8 @@ def eye_of(view: View, positions: Tensor) -> Tensor:
         view = view.camera
     if isinstance(view, Camera):
         return torch.tensor(view.eye).to(positions)
+    if not isinstance(view, Tensor):
+        raise ValueError(f"view must be a Camera, a GBuffer or a tensor, got {view!r}")
     if view.shape not in ((3,), positions.shape):
         raise ValueError(f"view must be a Camera, (3,) or {tuple(positions.shape)}, got {tuple(view.shape)}")
     if not bool(torch.isfinite(view).all()) or (view.ndim == 2 and not bool((view != 0).any(1).all())):

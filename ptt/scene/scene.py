@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -67,6 +68,24 @@ class Scene:
     environment: Environment | None = None
     tints: Tensor | None = None
     offset: Tensor = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields: what is made of them, rays' tree among it, is made anew where a copy needs it."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+
+    def __repr__(self) -> str:
+        """A line, and one for each region."""
+        radius = self.bounds[1]
+        counts = torch.bincount(self.face_region, minlength=len(self.regions)).tolist()
+        lines = [f"Scene of {len(self.vertices)} vertices, {len(self.faces)} triangles, radius {radius:.3g}"]
+        for region, count in zip(self.regions, counts, strict=True):
+            kind = ", ".join(h.shape.model for h in self.materials[region.name].highlights) or "lambert"
+            notes = [kind, *["textured"] * (region.texture is not None), *["fixed"] * (not region.editable)]
+            lines.append(f"  {region.name}: {count} triangles, {', '.join(notes)}")
+        return "\n".join(lines)
 
     @classmethod
     def from_mesh(

@@ -9,7 +9,8 @@
     [[region]]
     name = "bunny"
     mesh = "meshes/bunny.ply"                 # or one of plane, sphere, box, torus
-    parts = ["ear"]                           # of a glTF file; default: all that it holds
+    parts = ["ear"]                           # of the file; default: all that it holds
+    regions = true                            # each part a region of its own, "bunny/ear", with its own material
     scale = 10.0                              # then
     rotate = [0, 30, 0]                       # degrees about the world's x, then y, then z axis, then
     translate = [0, 0, 0]
@@ -60,20 +61,43 @@ SHAPES: dict[str, Callable[..., tuple[Tensor, Tensor]]] = {
     "box": mesh.box_mesh,
     "torus": mesh.torus_mesh,
 }
+FLOOR_CELLS = 64  # along an edge of `load_scene`'s floor
 MOST_TRIANGLES = 10_000_000  # `edge` may make in one region: more is taken for a mistake
 PLACING = ("scale", "rotate", "translate")  # keys that place a region, in the order in which they act
-REGION = ("name", "mesh", *SHAPES, "parts", *PLACING, "subdivide", "edge", "editable", "texture", "material")
+REGION = ("name", "mesh", *SHAPES, "parts", "regions", *PLACING, "subdivide", "edge", "editable", "texture", "material")
 
 
-def load_scene(path: str | PathLike[str]) -> Scene:
+def load_scene(path: str | PathLike[str], *, floor: float | None = None) -> Scene:
     """The scene in a mesh file (.ply, .obj, .stl, .gltf, .glb; `ptt.scene.mesh_files`) or in a .toml file.
+
+    floor: the side of a square under a mesh file, as the region "floor", in diameters of the mesh; None for none
 
     Raises:
         ValueError: the file is missing, of another kind, unreadable, or what it holds is not a scene; a TOML file has
             an unknown key: the message lists the valid ones.
     """
     path = Path(path)
-    return _load_toml(path) if path.suffix.lower() == ".toml" else Scene.from_parts(read_parts(path))
+    if path.suffix.lower() == ".toml":
+        if floor is not None:
+            raise ValueError(f"floor is for mesh files; in {path.name} it is a [[region]] with a plane")
+        return _load_toml(path)
+    parts = read_parts(path)
+    return Scene.from_parts(parts if floor is None else [*parts, _floor(parts, floor)])
+
+
+def _floor(parts: list[Part], size: float) -> Part:
+    """A level square under parts, `size` of their diameters wide."""
+    if not size > 0:
+        raise ValueError(f"floor must be > 0, got {size}")
+    points = torch.cat([part.vertices.double() for part in parts])
+    centre = (points.amin(0) + points.amax(0)) / 2
+    diameter = 2 * float((points - centre).norm(dim=1).max())
+    centre[1] = points[:, 1].min()
+    name = "floor"
+    while name in [part.name for part in parts]:
+        name += "_"
+    vertices, faces = mesh.plane_mesh(size * diameter, FLOOR_CELLS)
+    return Part(name, vertices + centre, faces)
 
 
 def _load_toml(path: Path) -> Scene:
@@ -92,7 +116,8 @@ def _load_toml(path: Path) -> Scene:
         environment = _environment(table["environment"], path.parent)
     if "camera" in table:
         camera = _call("camera", Camera, table["camera"])
-    scene = Scene.from_parts([_region(t, path.parent) for t in table["region"]], environment, camera)
+    parts = [part for t in table["region"] for part in _regions(t, path.parent)]
+    scene = Scene.from_parts(parts, environment, camera)
     return scene if _value_of(table, "hidden", bool, True) else without_hidden(scene)
 
 
@@ -121,37 +146,49 @@ def find(name: str, folder: Path) -> Path:
     raise ValueError(f"no file {name!r}, beside the TOML file or in $PTT_DATA: {', '.join(map(str, tried))}")
 
 
-def _region(table: Mapping[str, Any], folder: Path) -> Part:
+def _regions(table: Mapping[str, Any], folder: Path) -> list[Part]:
+    """The regions of a table: one, or one for each part of its file."""
     _check_keys("region", table, REGION)
     if not isinstance(table.get("name"), str):
         raise ValueError(f"region must have a name, got {table.get('name')!r}")
     name: str = table["name"]
     try:
-        part = replace(_geometry(table, folder), name=name, editable=_value_of(table, "editable", bool, True))
-        for _ in range(_value_of(table, "subdivide", int, 0)):
-            part = _subdivided(part)
-        part = transformed(part, _matrix(**{k: table[k] for k in PLACING if k in table}))
-        return _with_edges_up_to(part, float(table["edge"])) if "edge" in table else part
+        editable = _value_of(table, "editable", bool, True)
+        own = _value_of(table, "regions", bool, False)
+        parts = _parts(table, folder)
+        if own:
+            parts = [replace(part, name=f"{name}/{part.name}", editable=editable) for part in parts]
+        else:
+            parts = [replace(join(name, parts), editable=editable)]
+        return [_placed(part, table, folder) for part in parts]
     except (ValueError, TypeError) as error:
         raise ValueError(f"region {name!r}: {error}") from error
 
 
-def _geometry(table: Mapping[str, Any], folder: Path) -> Part:
+def _placed(part: Part, table: Mapping[str, Any], folder: Path) -> Part:
+    """A part with the texture, the triangles and the place that a table gives it."""
+    if "texture" in table:
+        part = replace(part, texture=read_texture(find(table["texture"], folder)))
+    for _ in range(_value_of(table, "subdivide", int, 0)):
+        part = _subdivided(part)
+    part = transformed(part, _matrix(**{k: table[k] for k in PLACING if k in table}))
+    return _with_edges_up_to(part, float(table["edge"])) if "edge" in table else part
+
+
+def _parts(table: Mapping[str, Any], folder: Path) -> list[Part]:
+    """The parts that a table names, in their own space, with its material where it gives one."""
     material = materials.from_config(table["material"]) if "material" in table else None
     sources = [key for key in ("mesh", *SHAPES) if key in table]
     if len(sources) != 1:
         raise ValueError(f"region must have one of mesh, {', '.join(SHAPES)}, got {sources or 'none'}")
     source = sources[0]
-    if source != "mesh" and "parts" in table:
-        raise ValueError(f"parts needs a mesh, got {source}")
+    if source != "mesh" and ("parts" in table or "regions" in table):
+        raise ValueError(f"parts and regions need a mesh, got {source}")
     if source == "mesh":
         parts = _chosen(read_parts(find(table["mesh"], folder)), table.get("parts"))
     else:
         parts = [Part(source, *_call(source, SHAPES[source], table[source]))]
-    if material is not None:
-        parts = [replace(part, material=material) for part in parts]
-    part = join(table["name"], parts)
-    return replace(part, texture=read_texture(find(table["texture"], folder))) if "texture" in table else part
+    return parts if material is None else [replace(part, material=material) for part in parts]
 
 
 def _chosen(parts: list[Part], names: list[str] | None) -> list[Part]:
@@ -199,7 +236,9 @@ def _with_vertices(part: Part, faces: Tensor, pairs: list[Tensor]) -> Part:
     """The part with faces that have vertices between pairs of others, too."""
     names = ("vertices", "normals", "uv", "colours")
     given = {name: getattr(part, name) for name in names}
-    finer = {name: refine.interpolated(values, pairs) for name, values in given.items() if values is not None}
+    finer: dict[str, Any] = {
+        name: refine.interpolated(values, pairs) for name, values in given.items() if values is not None
+    }
     return replace(part, faces=faces, **finer)
 
 

@@ -37,6 +37,10 @@ class Texture:
             raise ValueError("texture must be finite")
         object.__setattr__(self, "pixels", pixels)
 
+    def __repr__(self) -> str:
+        height, width, _ = self.pixels.shape
+        return f"Texture({width} x {height}, {' and '.join(self.wrap)})"
+
     def at(self, uv: Tensor) -> Tensor:
         """Bilinear values (n, c) at uv (n, 2), v = 1 on top."""
         return mesh.sample_texture(self.pixels, uv, self.wrap)

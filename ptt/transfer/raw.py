@@ -37,6 +37,11 @@ class RawTransfer:
     resolution: int
     bounces: int
 
+    def __repr__(self) -> str:
+        size = (self.visible.numel() + 4 * self.hits.numel()) / 1e6
+        rays = self.hits.shape[1]
+        return f"RawTransfer({len(self.receivers)} points, {self.bounces} bounces, {rays} rays, {size:.0f} MB)"
+
     def save(self, path: str | PathLike[str]) -> None:
         """Write a safetensors file."""
         config = {

@@ -642,3 +642,35 @@ def test_points_are_lit_where_surfaces_meet() -> None:
     seen = unpack(precompute(scene, resolution=16).visible, 6 * 16**2).sum(1)
     edge = torch.nonzero((scene.vertices[:, 0] < -0.49) & (scene.vertices[:, 1:].abs() < 1e-6).all(1))[:, 0]
     assert len(edge) == 2 and (seen[edge] > 0.4 * seen.max()).all() and (seen[edge] < 0.6 * seen.max()).all()
+
+
+def test_a_file_of_many_materials_stands_on_a_floor(tmp_path: Path) -> None:
+    """By one line of Python, or of TOML, each part keeps its name and material."""
+    (tmp_path / "m.mtl").write_text("newmtl seat\nKd 0.1 0.2 0.3\nnewmtl legs\nKd 0.5 0.5 0.5\n")
+    rows = "mtllib m.mtl\nv 0 1 0\nv 1 1 0\nv 0 1 -1\nv 0 2 0\n"
+    (tmp_path / "chair.obj").write_text(rows + "usemtl seat\nf 1 2 3\nusemtl legs\nf 1 2 4\n")
+    scene = ptt.load_scene(tmp_path / "chair.obj", floor=3.0)
+    assert [region.name for region in scene.regions] == ["seat", "legs", "floor"]
+    floor = scene.vertices[scene.vertex_region == 2]
+    assert set(floor[:, 1].tolist()) == {1.0} and float(floor[:, 0].max() - floor[:, 0].min()) > 3
+    text = '[[region]]\nname = "chair"\nmesh = "chair.obj"\nregions = true\ntranslate = [0, 1, 0]\n' + BOX
+    scene = ptt.load_scene(_toml(tmp_path, text))
+    assert [region.name for region in scene.regions] == ["chair/seat", "chair/legs", "box"]
+    torch.testing.assert_close(scene.materials["chair/seat"].diffuse, torch.tensor([0.1, 0.2, 0.3]))
+    assert float(scene.vertices[scene.vertex_region == 0][:, 1].min()) == 2
+    with pytest.raises(ValueError, match="parts and regions need a mesh, got box"):
+        ptt.load_scene(_toml(tmp_path, BOX + "regions = true\n"))
+    with pytest.raises(ValueError, match="floor is for mesh files"):
+        ptt.load_scene(_toml(tmp_path, BOX), floor=2.0)
+
+
+def test_printing_gives_a_few_lines(
+    small_scene: Scene, small_raw: ptt.RawTransfer, small_model: ptt.TransferModel
+) -> None:
+    light = ptt.Environment.sun_sky().rotated(y=20).scaled(2.0)
+    picture = ptt.render(small_scene, small_scene.camera, torch.ones_like(small_scene.vertices))
+    for thing in (small_scene, light, picture, small_raw, small_model, light + light, small_raw.receivers):
+        text = repr(thing)
+        assert len(text.splitlines()) <= 6 and len(text) < 600 and "tensor(" not in text
+    assert "floor: " in repr(small_scene) and "turned" in repr(light)
+    assert picture._repr_png_()[:4] == b"\x89PNG"
