@@ -97,13 +97,13 @@ def _tile_by_tile(size: int) -> Tensor:
 def _hits(surface: Surface, u: Tensor, v: Tensor, height: float, direction: float) -> Hits:
     """Hits of rays from places u, v (t,) at a height, straight up (direction 1) or down (-1)."""
     origins = torch.stack((u, v, torch.full_like(u, height)), 1)
-    return surface.first_hit(origins, torch.tensor([[0.0, 0.0, direction]]).expand(len(u), 3))
+    return surface.first_hit(origins, torch.tensor([[0.0, 0.0, direction]], dtype=torch.float32).expand(len(u), 3))
 
 
 def _stacked(uv: Tensor) -> tuple[Tensor, Tensor]:
     """The triangles of uv (f, 3, 2), each at a height of its own in 0..1: vertices (3 f, 3), faces (f, 3)."""
     count = len(uv)
-    height = torch.linspace(0, 1, count)[:, None, None].expand(-1, 3, 1)
+    height = torch.linspace(0, 1, count, dtype=torch.float32)[:, None, None].expand(-1, 3, 1)
     return torch.cat((uv, height), 2).reshape(-1, 3), torch.arange(3 * count).reshape(-1, 3)
 
 

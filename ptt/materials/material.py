@@ -65,7 +65,7 @@ class Material:
         Raises:
             ValueError: there are several.
         """
-        return self._only.colour if self.highlights else torch.zeros(3)
+        return self._only.colour if self.highlights else torch.zeros(3, dtype=torch.float32)
 
     @property
     def shape(self) -> Shape | None:

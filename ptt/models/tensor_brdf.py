@@ -100,7 +100,7 @@ class TensorBRDF(nn.Module):
         peaks, axes = separation.tables([shape.evaluate for shape in space.samples], space.isotropic, samples.angles)
         return {
             "core": fit.core.contiguous(),
-            "u_h": u_h * torch.tensor([samples.norms[h] for h in range(len(samples))])[:, None],
+            "u_h": u_h * torch.tensor([samples.norms[h] for h in range(len(samples))], dtype=torch.float32)[:, None],
             "u_o": samples.texels.table(u_o),
             "u_i": samples.texels.table(u_i),
             "peaks": peaks,

@@ -90,7 +90,7 @@ def _means(texels: Tensor, grid: Grid, rotation: Tensor, samples: int, arc: floa
 
 def octahedral_means(texels: Tensor, n: int, samples: int, arc: float) -> Tensor:
     """Means (n * n, 3) over the cells of an octahedral map in the frame of the texels, of what `sampled` gives."""
-    return _means(texels, Octahedral(n), torch.eye(3), samples, arc).flatten(0, 1)
+    return _means(texels, Octahedral(n), torch.eye(3, dtype=torch.float32), samples, arc).flatten(0, 1)
 
 
 def sampled(texels: Tensor, grid: Grid) -> tuple[Tensor, int, float]:

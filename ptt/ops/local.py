@@ -43,7 +43,7 @@ def visibility(surface: Surface, points: Tensor, frames: Tensor, grid: Geodesic,
     for start, frame in zip(origins.split(step), frames.float().split(step), strict=True):
         directions = (local[above] @ frame).flatten(0, 1)
         hidden = surface.occluded(start.repeat_interleave(len(above), 0), directions).reshape(len(start), -1)
-        seen = torch.zeros(len(start), grid.cells).index_add_(1, owner, 1 - hidden.float())
+        seen = torch.zeros(len(start), grid.cells, dtype=torch.float32).index_add_(1, owner, 1 - hidden.float())
         parts.append(seen.mul_(BYTE / samples**2).round_().to(torch.uint8))
     return torch.cat(parts)
 
@@ -68,7 +68,7 @@ def brdf(f: Callable[[Tensor, Tensor], Tensor], grid: Geodesic, wo: Tensor, samp
         values = f(wi, some[:, None]) * weight
         if not bool(values.isfinite().all()):
             raise ValueError("the BRDF must be finite")
-        parts.append(torch.zeros(len(some), grid.cells).index_add_(1, owner, values))
+        parts.append(torch.zeros(len(some), grid.cells, dtype=torch.float32).index_add_(1, owner, values))
     return torch.cat(parts)
 
 
@@ -84,7 +84,7 @@ def brdf_table(
         return brdf(f, grid, wo, samples)
     quarter = ((wo[:, 0] > -ZERO_WITHIN) & (wo[:, 1] > -ZERO_WITHIN)).nonzero()[:, 0]
     found = brdf(f, grid, wo[quarter], samples)
-    table = torch.empty(len(wo), grid.cells)
+    table = torch.empty(len(wo), grid.cells, dtype=torch.float32)
     for x, y in ((1, 1), (-1, 1), (1, -1), (-1, -1)):
         flip = torch.tensor([x, y, 1], dtype=torch.float64)
         rows = HemiOctahedral(views).cell(wo[quarter] * flip)
@@ -95,5 +95,5 @@ def brdf_table(
 def cosine(grid: Geodesic) -> Tensor:
     """F (n,) of Lambert's BRDF, 1 / pi: the cosine and the solid angle alone."""
     samples = 1 << min(3, FINEST_LEVEL - grid.level)
-    up = torch.tensor([[0.0, 0.0, 1.0]])
+    up = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float32)
     return brdf(lambda wi, wo: torch.full_like(wi[..., 0] * wo[..., 0], 1 / math.pi), grid, up, samples)[0]

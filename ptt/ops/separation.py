@@ -187,7 +187,9 @@ def tables(
     """
     polar = lobes.tilts_and_turns(isotropic)
     if not angles:
-        return torch.zeros(len(functions), 0, *polar.shape[:2]), torch.zeros(2, 0, polar.shape[1])
+        return polar.new_zeros(len(functions), 0, *polar.shape[:2]).float(), polar.new_zeros(
+            2, 0, polar.shape[1]
+        ).float()
     rows = [lobe_light(functions, wo, angles, ARCS[isotropic]) for wo in polar.float()]
     axes = axes_of(rows, angles).float() if axes is None else axes
     return torch.stack([reflectances(row, angles, axes) for row in rows], 2).float(), axes

@@ -69,7 +69,7 @@ class Slices(NamedTuple):
         """tensorly's TuckerTensor (s, cells) of `to_dense`: the products of `factorised` slices, else at full rank."""
         if self.basis is None:
             values = self.to_dense(cells)
-            columns = torch.eye(cells, device=values.device)
+            columns = torch.eye(cells, device=values.device, dtype=torch.float32)
         else:
             columns = self.basis[self.basis.abs().amax(1) > 0].T  # shape: (cells, r), without the padding
             values = self.values[:, : columns.shape[1]].float()
@@ -240,7 +240,9 @@ def _dense(f: BRDF, m: int, wo: Tensor, twists: int, samples: int) -> Iterator[T
     for k in range(twists):
         c = math.cos(2 * math.pi * k / twists)
         s = math.sin(2 * math.pi * k / twists)
-        turned = torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])  # into the frame of the tangent
+        turned = torch.tensor(
+            [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float32
+        )  # into the frame of the tangent
         for some in wo.split(max(1, _VALUES // len(wi))):
             values = f(wi @ turned, (some @ turned)[:, None]) * weight
             if not bool(values.isfinite().all()):

@@ -88,7 +88,9 @@ def _radiance(
     wo = _toward(points, eye)
     values = sent.values.to(outgoing.dtype)
     o = 1 + outgoing.shape[1]
-    factors = mix(outgoing, *corners(wo.T[:, :2], _side(outgoing), wrap=False))
+    factors = wo.new_zeros(wo.shape[1], 0)
+    if o > 1:
+        factors = mix(outgoing, *corners(wo.T[:, :2], _side(outgoing), wrap=False))
     diffuse = values[:, :, 0]
     if points.colour is not None:
         diffuse = diffuse * _blocks(points.colour, values)

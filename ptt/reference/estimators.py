@@ -121,7 +121,9 @@ def unshadowed(
     centre, radius = scene.bounds
     # every region is two triangles so small and so far above and below that they hide nothing
     far = torch.tensor([0.0, 1e4, 0.0])
-    specks = centre + radius * torch.cat((1e-3 * torch.eye(3) - far, 1e-3 * torch.eye(3) + far))
+    specks = centre + radius * torch.cat(
+        (1e-3 * torch.eye(3, dtype=torch.float32) - far, 1e-3 * torch.eye(3, dtype=torch.float32) + far)
+    )
     parts = [Part(region.name, specks, torch.tensor([[0, 1, 2], [3, 4, 5]])) for region in scene.regions]
     return radiance(Scene.from_parts(parts), environment, materials, points, wo, **settings)
 

@@ -280,12 +280,12 @@ def _side_by_side(threads: int) -> Iterator[ThreadPoolExecutor]:
 
 def _uniform(n: int, random: torch.Generator) -> Tensor:
     """Uniform numbers (n, 5) in [0, 1): two draw from the environment, three from the BRDF."""
-    return torch.rand(n, 5, generator=random)
+    return torch.rand(n, 5, generator=random, dtype=torch.float32)
 
 
 def _spread(size: int) -> Tensor:
     """The first points (size, 5) of Sobol's sequence, even in every pair of axes from four points on."""
-    return torch.quasirandom.SobolEngine(5).draw(size)
+    return torch.quasirandom.SobolEngine(5).draw(size, dtype=torch.float32)
 
 
 def _pick(values: Tensor, rows: Tensor) -> Tensor:

@@ -152,7 +152,7 @@ class EnvMapRelighter(Relighter):
         self.keep = keep
         self.light = LightStep(Octahedral(rotation.n), (), compiled)
         self.register_buffer("cosine", slices.cosine(rotation.m).float(), persistent=False)
-        shade = torch.ones(len(scene.vertices)) if occlusion is None else occlusion.float()
+        shade = torch.ones(len(scene.vertices), dtype=torch.float32) if occlusion is None else occlusion.float()
         self.register_buffer("occlusion", shade, persistent=False)
         surface = SurfacePoints(scene.points, scene.frames, scene.colours, shade)
         self.vertices = nn.ModuleList(self._sorted(surface, scene.vertex_region))

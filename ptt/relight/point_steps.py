@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -25,6 +26,14 @@ class PointSteps(nn.Module):
         super().__init__()
         self.model = model
         self.register_buffer("t0", model.transfer(), persistent=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without T0, which is sparse and cannot be copied so; it is made of the model again."""
+        return self.__dict__ | {"_buffers": {}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)
+        self.register_buffer("t0", self.model.transfer(), persistent=False)
 
     @opaque
     def incident(self, environment: Environment) -> Tensor:

@@ -284,13 +284,15 @@ class TripleProductRelighter(Relighter):
 
     def _shares(self, at: PointLookups, of_regions: list[list[tuple[Tensor | None, bool]]]) -> Tensor:
         """How much of each of its region's coats is at each point (i, p, 3)."""
-        shares = torch.zeros(max(map(len, of_regions)), len(at.region), 3)
+        shares = torch.zeros(max(map(len, of_regions)), len(at.region), 3, dtype=torch.float32)
         for region, coats in enumerate(of_regions):
             rows = (at.region == region).nonzero()[:, 0].cpu()
             for i, (share, inverse) in enumerate(coats):
-                amount = torch.ones(())
+                amount = shares.new_ones(())
                 if share is not None:
-                    amount = self.scene.share_at(share, at.triangle.cpu()[rows], at.barycentric.cpu()[rows])[:, None]
+                    amount = self.scene.share_at(share, at.triangle.cpu()[rows], at.barycentric.cpu()[rows])[
+                        :, None
+                    ].to(shares)
                 shares[i, rows] = 1 - amount if inverse else amount
         return shares.to(self.dull.device)
 

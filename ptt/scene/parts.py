@@ -120,7 +120,7 @@ def _prepare(part: Part) -> PreparedPart:
     if given is not None:
         given[count:] = 0  # of backs, whose normals are none of the file's
     normals, renewed = _normals(given, vertices, faces)
-    colours = torch.ones(len(vertices), 3) if tints is None else tints
+    colours = torch.ones(len(vertices), 3, dtype=torch.float32) if tints is None else tints
     if texture is not None and uv is not None:
         colours = colours * texture.at(uv)
     return PreparedPart(

@@ -227,8 +227,13 @@ def _weights(brdf: TensorBRDF, basis: BRDFBasis, slots: list[Slot]) -> PictureWe
 
 
 def _no_indirect(points: int) -> IndirectTransfer:
-    two = torch.zeros(points, 0, 0, 6 * COARSEST**2)
-    return IndirectTransfer(torch.zeros(points, 0, ORDER**2, 0), two, torch.zeros(0, 6 * COARSE**2), 1.0)
+    two = torch.zeros(points, 0, 0, 6 * COARSEST**2, dtype=torch.float32)
+    return IndirectTransfer(
+        torch.zeros(points, 0, ORDER**2, 0, dtype=torch.float32),
+        two,
+        torch.zeros(0, 6 * COARSE**2, dtype=torch.float32),
+        1.0,
+    )
 
 
 def _indirect(bounces: Bounces, weights: PictureWeights, count: int, progress: bool) -> IndirectTransfer:

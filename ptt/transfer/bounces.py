@@ -83,7 +83,7 @@ class Reflector:
         return cls(
             own,
             torch.tensor([slots[k].channel for k in own]),
-            torch.tensor([1 / math.pi if slots[k].function == 0 else 0.0 for k in own]),
+            brdf.core.new_tensor([1 / math.pi if slots[k].function == 0 else 0.0 for k in own]),
             torch.einsum("ph,hj,joi->poi", mixture, brdf.u_h, brdf.core),
             torch.einsum("ph,hkut->pkut", mixture, brdf.peaks),
         )
@@ -221,7 +221,7 @@ def _light_about_axes(angles: tuple[float, ...], resolution: int) -> Tensor:
     The lobe of 0 degrees counts as that of 7: both are narrower than the cells of the lighting.
     """
     if not angles:
-        return torch.zeros(AXIS_CELLS.cells, 0, 6 * COARSE**2)
+        return torch.zeros(AXIS_CELLS.cells, 0, 6 * COARSE**2, dtype=torch.float32)
     fine = LOBE_CELLS.directions().reshape(-1, 3).float()
     solid = LOBE_CELLS.solid_angles().flatten().float()
     rows = []

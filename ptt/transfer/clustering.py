@@ -148,7 +148,7 @@ class _RegionTransfer:
             clusters = replace(clusters, eigenvectors=_eigenvectors_for(x, clusters))
         e = clusters.eigenvectors
         labels = _cluster_labels(x, clusters.points, e)
-        combination = torch.zeros(len(x), e)
+        combination = torch.zeros(len(x), e, dtype=torch.float32)
         made = []
         for k in range(_clusters_in(labels) or 1):
             at = torch.nonzero(labels == k)[:, 0]
@@ -158,7 +158,7 @@ class _RegionTransfer:
             made.append(self._eigen_points(at, combination[at] / max(len(at), 1), clusters))
         columns, t0, lighting, t1, t2 = (torch.stack(parts) for parts in zip(*made, strict=True))
         cluster, place = in_blocks(labels, self.transfer.raw.receivers.frames[self.first : self.end, 2])
-        weights = torch.zeros(len(cluster) * WIDTH, e).index_copy(0, place, combination)
+        weights = torch.zeros(len(cluster) * WIDTH, e, dtype=torch.float32).index_copy(0, place, combination)
         return ClusteredTransfer(
             self.slots.tolist(),
             self.pairs.tolist(),
@@ -226,7 +226,7 @@ class _RegionTransfer:
         grid = Cube(self.transfer.raw.resolution)
         factors = direct.coarse.shape[1]
         index = direct.indices[rows + self.first].long()
-        t0 = torch.zeros(factors * grid.cells, combination.shape[1])
+        t0 = torch.zeros(factors * grid.cells, combination.shape[1], dtype=torch.float32)
         values = direct.values[rows + self.first][..., None] * combination[:, None]
         t0 = t0.index_add_(0, index.flatten(), values.flatten(0, 1)).unflatten(0, (factors, grid.cells))
         energy = (t0.square().sum(2) * self.transfer.weights.factors[:, None].square()).sum(0)

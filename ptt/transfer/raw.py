@@ -118,7 +118,7 @@ def precompute(
             receivers.positions.split(POINTS_AT_ONCE), receivers.frames.split(POINTS_AT_ONCE), strict=True
         ):
             visible.append(transfer.visibility(scene.surface, positions, frames[:, 2], directions))
-            u = torch.rand(len(positions), len(local), generator=random)
+            u = torch.rand(len(positions), len(local), generator=random, dtype=torch.float32)
             hits.append(transfer.gather(scene.surface, scene.faces, positions, frames, local, u))
             bar.update(len(positions))
     return RawTransfer(receivers, torch.cat(visible), torch.cat(hits), resolution, bounces)
