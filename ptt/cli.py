@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import tyro
 
 from ptt.light.environment import Environment
-from ptt.light.layouts import Layout
+from ptt.light.layouts import Layout as Layout  # for the scripts
 from ptt.materials.material import Material
 from ptt.materials.shapes import GGX, BlinnPhong, CookTorrance, Ward
 from ptt.materials.spaces import BRDFSpace

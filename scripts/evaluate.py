@@ -15,8 +15,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import ptt
-from ptt.cli import chosen_light, chosen_scene, configure, run
-from ptt.light.layouts import Layout
+from ptt.cli import Layout, chosen_light, chosen_scene, configure, run
 
 
 @dataclass

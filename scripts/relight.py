@@ -24,8 +24,7 @@ import ptt  # before torch: it says how threads wait (ptt.threads)
 import torch
 from torch import Tensor
 
-from ptt.cli import chosen_light, chosen_scene, chosen_space, configure, kept_model, run
-from ptt.light.layouts import Layout
+from ptt.cli import Layout, chosen_light, chosen_scene, chosen_space, configure, kept_model, run
 
 JUDGED = 1000  # vertices, at most
 

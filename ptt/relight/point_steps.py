@@ -32,7 +32,7 @@ class PointSteps(nn.Module):
         return self.__dict__ | {"_buffers": {}}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__(state)
+        super().__setstate__(state)  # type: ignore[no-untyped-call]
         self.register_buffer("t0", self.model.transfer(), persistent=False)
 
     @opaque
