@@ -24,7 +24,7 @@ from ptt.materials.spaces import BRDFSpace, fitted
 from ptt.materials.tabulation import separate, tabulated
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.light_rotation import LightRotation
-from ptt.models.tensor_brdf import TensorBRDF
+from ptt.models.tensor_brdf import TensorBRDF, usual_ranks
 from ptt.models.transfer_model import TransferModel
 from ptt.relight.envmap_relighter import EnvMapRelighter
 from ptt.relight.transfer_relighter import TransferRelighter
@@ -89,6 +89,7 @@ __all__ = [
     "render",
     "separate",
     "tabulated",
+    "usual_ranks",
     "ward",
     "without_hidden",
 ]

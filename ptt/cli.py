@@ -15,7 +15,6 @@ import tyro
 from ptt.light.environment import Environment
 from ptt.light.layouts import Layout as Layout  # for the scripts
 from ptt.materials.material import Material
-from ptt.materials.shapes import GGX, BlinnPhong, CookTorrance, Ward
 from ptt.materials.spaces import BRDFSpace
 from ptt.models.receivers import Receivers
 from ptt.models.transfer_model import TransferModel
@@ -35,7 +34,6 @@ SPACES: dict[str, Callable[[], BRDFSpace]] = {
     "ward": BRDFSpace.ward,
     "ggx": BRDFSpace.ggx,
 }
-OF_MODEL = {BlinnPhong.model: "blinn-phong", CookTorrance.model: "fitted", Ward.model: "ward", GGX.model: "ggx"}
 
 
 def configure(cls: type[Config], doc: str) -> Config:
@@ -84,22 +82,12 @@ def chosen_light(name: str, scene: Scene, layout: Layout) -> Environment:
 
 
 def chosen_space(name: Space, materials: Mapping[str, Material]) -> BRDFSpace:
-    """The space of that name; "auto" is the one of the shapes that the materials have, Blinn-Phong for none.
+    """The space of that name; "auto" is the one that holds the shapes of the materials, Blinn-Phong for none.
 
     Raises:
-        ValueError: materials of several models, or of one that has no space of its own.
+        ValueError: a material has a blend of shapes.
     """
-    if name != "auto":
-        return SPACES[name]()
-    shapes = [highlight.shape for material in materials.values() for highlight in material.highlights]
-    models = sorted({shape.model for shape in shapes}) or [BlinnPhong.model]
-    if len(models) > 1 or models[0] not in OF_MODEL:
-        found = ", ".join(f"{name} {h.shape.model}" for name, m in materials.items() for h in m.highlights)
-        raise ValueError(
-            f"a space holds one model of {', '.join(OF_MODEL)}; the scene has {found}: change its materials"
-        )
-    anisotropic = any(not shape.isotropic for shape in shapes)
-    return BRDFSpace.ward(anisotropic=True) if anisotropic else SPACES[OF_MODEL[models[0]]]()
+    return BRDFSpace.holding(materials.values()) if name == "auto" else SPACES[name]()
 
 
 def kept_model(scene: Scene, settings: Mapping[str, Any], make: Callable[[], TransferModel]) -> TransferModel:

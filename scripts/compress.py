@@ -26,7 +26,7 @@ class Config:
     space: Space = "auto"
     """Materials that the model can show: blinn-phong (exponents 1..200), fitted (Cook-Torrance: the 86 of Ngan et al.
     2005 and what lies between), ward or ggx; auto: the space of the shapes that the scene's own materials have."""
-    ranks: tuple[int, int, int] = (4, 16, 16)
+    ranks: tuple[int, int, int] | None = None
     """BRDF, outgoing and incident factors of the BRDF tensor; storage grows with the last."""
     lobes: int = 3
     """Lobes, of 0, 7, 14 and 21 degrees, that are taken out of the tensor, for sharp highlights; 0..4."""
@@ -55,7 +55,7 @@ def main() -> None:
     space = chosen_space(config.space, raw.receivers.materials)
 
     start = time.perf_counter()
-    brdf = ptt.TensorBRDF.fit(space, ranks=config.ranks, separated=config.lobes)
+    brdf = ptt.TensorBRDF.fit(space, ranks=config.ranks or ptt.usual_ranks(space), separated=config.lobes)
     basis = ptt.BRDFBasis.fit(space, config.functions)
     fitted = time.perf_counter()
     memory = config.max_memory * 1e9

@@ -137,7 +137,7 @@ def main() -> None:
 def traced(scene: ptt.Scene, space: ptt.BRDFSpace, config: Config) -> ptt.TransferModel:
     """The scene, traced and compressed for the materials of a space."""
     raw = ptt.precompute(scene, config.bounces, rays=config.rays, progress=True)
-    brdf = ptt.TensorBRDF.fit(space, ranks=(4, 16, 16), separated=3)
+    brdf = ptt.TensorBRDF.fit(space, ptt.usual_ranks(space), separated=3)
     basis = ptt.BRDFBasis.fit(space, config.functions)
     return ptt.compress(raw, config.coefficients, brdf, basis, progress=True)
 

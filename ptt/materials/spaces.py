@@ -16,9 +16,9 @@ from torch import Tensor, nn
 
 from ptt.materials import material as mat
 from ptt.materials import shapes
+from ptt.materials.families import Family, family_of
 from ptt.materials.material import Material
 from ptt.materials.shapes import GGX, Analytic, Blend, BlinnPhong, CookTorrance, Named, Number, Shape, Ward
-from ptt.ops.simplices import Simplices
 
 BRDF = Callable[[Tensor, Tensor], Tensor]  # f(wi, wo): (..., 3), (..., 3) -> (...) [1/sr]
 MERL_SCALE = 1.0, 1.15, 1.66  # of red, green and blue in MERL's tables: the published fits lack it
@@ -30,9 +30,9 @@ ROUGHNESSES = tuple(0.1 ** (1 - k / 24) for k in range(25))  # 0.1..1
 
 @dataclass(frozen=True, eq=False)
 class BRDFSpace:
-    """Sampled shapes of one analytic model, with all shapes between them, and any number of named BRDFs.
+    """Sampled shapes of analytic models, with all shapes of each between them, and any number of named BRDFs.
 
-    samples (h): analytic shapes of one model of which one or two parameters vary, and `Named` ones of the user's own
+    samples (h): analytic shapes, of each model such that one or two parameters vary, and `Named` ones of the user's own
     materials: the materials that `material` and `path` know, by name
     clamped: says whether an analytic shape outside of the samples becomes the nearest one inside, or is refused
 
@@ -45,7 +45,7 @@ class BRDFSpace:
         space.path("gold-metallic-paint", "chrome", steps=24)       # an animation
 
     Raises:
-        ValueError: there are no samples, analytic ones of several models, or the same sample twice.
+        ValueError: there are no samples, those of a model cannot be triangulated, or there is the same sample twice.
 
     Sun et al. 2007, section 4.2.
     """
@@ -57,14 +57,9 @@ class BRDFSpace:
     def __post_init__(self) -> None:
         if not self.samples or any(isinstance(s, Blend) for s in self.samples):
             raise ValueError("samples must hold at least one shape, and no Blend")
-        if len(models := {s.model for s in self._analytic}) > 1:
-            raise ValueError(f"analytic samples must be of one model, got {', '.join(sorted(models))}")
-        if len(given := {tuple(shapes.parameters(s)) for s in self._analytic}) > 1:
-            raise ValueError(f"analytic samples must have the same parameters, got {' and '.join(map(str, given))}")
         if len({str(shapes.to_config(s)) for s in self.samples}) < len(self.samples):
             raise ValueError("samples must differ, got the same parameters or the same name twice")
-        if self._analytic:
-            _ = self._simplices  # samples that cannot be triangulated are refused now
+        _ = self._families  # samples that cannot be triangulated are refused now
 
     @classmethod
     def blinn_phong(cls, exponents: Sequence[float] = EXPONENTS) -> BRDFSpace:
@@ -106,6 +101,29 @@ class BRDFSpace:
     def ggx(cls, roughnesses: Sequence[float] = ROUGHNESSES) -> BRDFSpace:
         """GGX shapes of the given roughnesses with F0 0 and 1: Schlick's reflectance is linear in between."""
         return cls(tuple(GGX(f0, r) for r in roughnesses for f0 in (0.0, 1.0)))
+
+    @classmethod
+    def holding(cls, materials: Iterable[Material]) -> BRDFSpace:
+        """The space that holds the shapes of some materials, and all of their models'; Blinn-Phong for none.
+
+        Raises:
+            ValueError: a material has a `Blend`.
+        """
+        every = [highlight.shape for material in materials for highlight in material.highlights]
+        named = {shape.name: shape for shape in every if isinstance(shape, Named)}
+        if blends := [shape for shape in every if isinstance(shape, Blend)]:
+            raise ValueError(f"a space of its own is for analytic and named shapes, got {blends[0]}")
+        makers: dict[str, Callable[[], BRDFSpace]] = {
+            BlinnPhong.model: cls.blinn_phong,
+            GGX.model: cls.ggx,
+            CookTorrance.model: cls.fitted,
+            Ward.model: lambda: cls.ward(anisotropic=not all(s.isotropic for s in every if isinstance(s, Ward))),
+        }
+        models = sorted({shape.model for shape in every if isinstance(shape, Analytic)})
+        parts = [makers[model]() for model in models or ([] if named else [BlinnPhong.model])]
+        samples = [sample for part in parts for sample in part.samples] + list(named.values())
+        known = {name: material for part in parts for name, material in part.materials.items()}
+        return cls(tuple(samples), known, any(part.clamped for part in parts))
 
     @classmethod
     def user(cls, brdfs: Mapping[str, BRDF | Material]) -> BRDFSpace:
@@ -150,21 +168,14 @@ class BRDFSpace:
         Raises:
             ValueError: parameters are unknown or missing, or lie outside of a space that does not clamp.
         """
-        if not self._analytic:
+        if not self._families:
             raise ValueError(f"the space holds BRDFs by name, not by parameters: {', '.join(self.materials)}")
         given = {name.lower(): value for name, value in parameters.items()}
-        valid = shapes.parameters(self._analytic[0])
-        if given.keys() != valid.keys() or len(given) < len(parameters):
-            raise ValueError(f"parameters must be {', '.join(valid)}, got {', '.join(parameters) or 'none'}")
-        shape = type(self._analytic[0])(**given)
-        reached = self._weights(shape) @ self._simplices.points
-        if not self.clamped:
-            return shape
-        inside: dict[str, Number] = dict(valid)
-        for name, value in zip(self._axes, reached, strict=True):
-            wanted = given[name]
-            inside[name] = value.to(wanted) if isinstance(wanted, Tensor) else shapes.number(value)
-        return type(shape)(**inside)
+        own = [f for f in self._families.values() if shapes.parameters(f.first).keys() == given.keys()]
+        if len(own) != 1 or len(given) < len(parameters):
+            valid = " or ".join(", ".join(shapes.parameters(f.first)) for f in self._families.values())
+            raise ValueError(f"parameters must be {valid}, got {', '.join(parameters) or 'none'}")
+        return own[0].at(given)
 
     @overload
     def path(self, start: Shape, end: Shape, steps: int) -> list[Shape]: ...
@@ -202,10 +213,8 @@ class BRDFSpace:
             return torch.stack([torch.as_tensor(w).cpu() * self.coordinates(s) for w, s in parts]).sum(0)
         if isinstance(shape, Named):
             return self._by_name(shape.name)
-        if not self._analytic or shape.model != self._analytic[0].model:
-            raise ValueError(f"the model's space holds {self._models} shapes, got {shape.model}")
-        weights = self._weights(shape)
-        return torch.zeros(len(self.samples), dtype=torch.float64).index_put((self._rows,), weights)
+        family = self._family(shape)
+        return torch.zeros(len(self.samples), dtype=torch.float64).index_put((family.rows,), family.weights(shape))
 
     def coloured(self, material: Material) -> Tensor:
         """Weights (h, 3) of the samples, float64, that interpolate what a material has around its diffuse part.
@@ -250,40 +259,19 @@ class BRDFSpace:
             raise ValueError(f"no BRDF {name!r} in the space, whose named ones are: {known}; see with_brdf")
         return nn.functional.one_hot(torch.tensor(names.index(name)), len(names)).double()
 
-    def _weights(self, shape: Analytic) -> Tensor:
-        """Weights of the analytic samples.
+    def _family(self, shape: Analytic) -> Family:
+        """The family of a shape.
 
         Raises:
-            ValueError: the shape lies outside of a space that does not clamp, or differs in a parameter that is fixed.
+            ValueError: the space has none of its model, or of its parameters.
         """
-        place = self._place(shape)
-        points = self._simplices.points
-        weights = self._simplices.weights(place)
-        if self.clamped:
-            return weights
-        missed = (weights @ points - place).detach().abs() > 2e-6 * points.abs().amax(0)
-        if bool(missed.any()):
-            axes = ", ".join(self._axes)
-            raise ValueError(f"({axes}) must lie between the samples of the model's space, got {place.tolist()}")
-        return weights
-
-    def _place(self, shape: Analytic) -> Tensor:
-        """A shape as a point (d,) on the axes that vary.
-
-        Raises:
-            ValueError: the shape lies outside of a space that does not clamp, or has other parameters.
-        """
-        given = shapes.parameters(shape)
-        first = shapes.parameters(self._analytic[0])
-        if given.keys() != first.keys():
-            raise ValueError(f"{shape.model} must have {', '.join(first)} here, got {', '.join(given)}")
-        for name, value in given.items():
-            fixed = shapes.number(first[name])
-            low, high = self._bounds.get(name, (fixed, fixed))
-            wanted = shapes.number(value)
-            if not self.clamped and not low * (1 - 1e-6) <= wanted <= high * (1 + 1e-6):
-                raise ValueError(f"{name} must be in {low:g}..{high:g}, the model's space, got {wanted:g}")
-        return torch.stack([torch.as_tensor(given[name], dtype=torch.float64).cpu() for name in self._axes])
+        if family_of(shape) in self._families:
+            return self._families[family_of(shape)]
+        for family in self._families.values():
+            if family.first.model == shape.model:
+                valid, got = (", ".join(shapes.parameters(s)) for s in (family.first, shape))
+                raise ValueError(f"{shape.model} must have {valid} here, got {got}")
+        raise ValueError(f"the model's space holds {self._models} shapes, got {shape.model}")
 
     def _between(self, start: Shape, end: Shape, t: float) -> Shape:
         """The shape at t in 0..1 of the way."""
@@ -291,11 +279,13 @@ class BRDFSpace:
             self.coordinates(shape)  # refuses what is not in the space
         if isinstance(start, Named | Blend) or isinstance(end, Named | Blend):
             return Blend((start, end), (1 - t, t))
-        along = {}
+        if family_of(start) != family_of(end):
+            return Blend((start, end), (1 - t, t))
+        along: dict[str, Number] = {}
         for (name, first), last in zip(shapes.parameters(start).items(), shapes.parameters(end).values(), strict=True):
             a = shapes.number(first)
             along[name] = a + t * (shapes.number(last) - a)
-        return self.at(**along)
+        return self._family(start).at(along)
 
     def _material_between(self, start: Material, end: Material, t: float) -> Material:
         if start.shape is None or end.shape is None:
@@ -309,34 +299,13 @@ class BRDFSpace:
         return ", ".join(sorted({shape.model for shape in self.samples}))
 
     @cached_property
-    def _analytic(self) -> tuple[Analytic, ...]:
-        return tuple(s for s in self.samples if isinstance(s, Analytic))
-
-    @cached_property
-    def _axes(self) -> tuple[str, ...]:
-        """Names of the parameters that vary among the analytic samples; a single sample has its first parameter."""
-        table = [shapes.parameters(s) for s in self._analytic]
-        values = {name: {shapes.number(row[name]) for row in table} for name in table[0]}
-        varying = tuple(name for name, different in values.items() if len(different) > 1)
-        return varying or tuple(table[0])[:1]
-
-    @cached_property
-    def _bounds(self) -> dict[str, tuple[float, float]]:
-        """The least and the greatest value of every parameter that varies."""
-        points = self._simplices.points
-        low = points.amin(0).tolist()
-        high = points.amax(0).tolist()
-        return dict(zip(self._axes, zip(low, high, strict=True), strict=True))
-
-    @cached_property
-    def _rows(self) -> Tensor:
-        """Numbers of the analytic samples."""
-        return torch.tensor([h for h, s in enumerate(self.samples) if isinstance(s, Analytic)])
-
-    @cached_property
-    def _simplices(self) -> Simplices:
-        points = [[shapes.number(shapes.parameters(s)[name]) for name in self._axes] for s in self._analytic]
-        return Simplices(torch.tensor(points, dtype=torch.float64))
+    def _families(self) -> dict[tuple[str, ...], Family]:
+        """The analytic samples, by model."""
+        rows: dict[tuple[str, ...], list[int]] = {}
+        analytic = {row: sample for row, sample in enumerate(self.samples) if isinstance(sample, Analytic)}
+        for row, sample in analytic.items():
+            rows.setdefault(family_of(sample), []).append(row)
+        return {key: Family([analytic[row] for row in own], own, self.clamped) for key, own in rows.items()}
 
 
 def fitted(name: str) -> Material:

@@ -23,6 +23,12 @@ SPANNED = 1e-4  # of a sample's norm, that other incident factors may leave out
 ENOUGH = 1.05, 1e-3  # the fewest lobes whose error is within a twentieth of the least, or below 0.1 %, are chosen
 
 
+def usual_ranks(space: BRDFSpace) -> tuple[int, int, int]:
+    """BRDF, outgoing and incident factors: 4 BRDF factors a model, 16 of either direction."""
+    models = {sample.model for sample in space.samples}
+    return min(len(space.samples), 4 * len(models)), 16, 16
+
+
 class TensorBRDF(nn.Module):
     """f(h, wi, wo) ~ sum over h', o, i of core[h', o, i] u_h[h, h'] u_o[o, wo] u_i[i, wi]  +  lobes   (equation 2).
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ptt.materials.spaces import BRDFSpace
 from ptt.models.brdf_basis import BRDFBasis
-from ptt.models.tensor_brdf import TensorBRDF
+from ptt.models.tensor_brdf import TensorBRDF, usual_ranks
 from ptt.models.transfer_model import SparseTransfer, TransferModel
 from ptt.ops.haar import Truncated
 from ptt.ops.sphere import Cube
@@ -12,7 +12,6 @@ from ptt.transfer.assembly import assemble, direct_light
 from ptt.transfer.clustering import Clusters, cluster
 from ptt.transfer.raw import RawTransfer
 
-RANKS = (4, 16, 16)  # BRDF, outgoing and incident factors of the default tensor
 SEPARATED_LOBES = 3  # lobes of the default tensor, of 0, 7 and 14 degrees; each costs time and storage at every point
 
 
@@ -29,8 +28,8 @@ def compress(
     """Transfer to every point, as far as the scene and the accuracy require.
 
     coefficients: Haar coefficients of T0 kept, on average over a point's factors; None keeps all, the paper keeps 96
-    brdf: the materials that the model can show, as they reflect at the points; default: Blinn-Phong exponents 1..200
-        at ranks (4, 16, 16)
+    brdf: the materials that the model can show, as they reflect at the points; default: all of the models of the
+        scene's own materials (`BRDFSpace.holding`), Blinn-Phong where it has none, at `usual_ranks`
     basis: the same space as it reflects light on its way; default: four functions and the diffuse one
     clusters: how points share eigen-points; None keeps every point's own T0, for direct light alone and without lobes:
         exact, but 10 to 100 times as large and as slow to light anew
@@ -47,7 +46,9 @@ def compress(
     """
     if clusters is None and raw.bounces:
         raise ValueError("light that bounces needs clusters, got None")
-    brdf = brdf or TensorBRDF.fit(BRDFSpace.blinn_phong(), ranks=RANKS, separated=SEPARATED_LOBES if clusters else 0)
+    if brdf is None:
+        space = BRDFSpace.holding(raw.receivers.materials.values())
+        brdf = TensorBRDF.fit(space, usual_ranks(space), separated=SEPARATED_LOBES if clusters else 0)
     if clusters is not None:
         basis = basis or BRDFBasis.fit(brdf.space)
         transfer = assemble(raw, brdf, basis, coefficients, max_memory=max_memory, progress=progress)

@@ -364,9 +364,6 @@ def test_paths_refused() -> None:
 @pytest.mark.parametrize(("samples", "message"), [
     ((), "at least one shape"),
     ((ptt.Blend((ptt.Ward(0.1),), (1.0,)),), "and no Blend"),
-    ((ptt.Ward(0.1), ptt.GGX(0.1, 0.2)), "analytic samples must be of one model, got ggx, ward"),
-    ((ptt.Ward(0.1), ptt.Ward(0.1, 0.2)), "analytic samples must have the same parameters"),
-    ((ptt.Ward(0.1, 0.2), ptt.Ward(0.3)), "analytic samples must have the same parameters"),
     ((ptt.Ward(0.1), ptt.Ward(torch.tensor(0.1, dtype=torch.float64))), "samples must differ"),
     ((ptt.Named("a", matt), ptt.Named("a", cosines)), "the same name twice"),
     (tuple(ptt.GGX(x, x) for x in (0.1, 0.2, 0.3)), "must not lie on one line"),
@@ -409,3 +406,50 @@ def test_functions_are_found_to_be_isotropic_or_not() -> None:
         (brdf.lambert, True),
     ]:
         assert BRDFSpace.user({"mine": function}).isotropic is expected
+
+
+def test_a_space_of_several_models() -> None:
+    """Each shape lies between the samples of its own model, and what holds a scene's materials holds their models."""
+    space = ptt.BRDFSpace(
+        (ptt.BlinnPhong(4.0), ptt.GGX(0.0, 0.3), ptt.BlinnPhong(8.0), ptt.GGX(1.0, 0.3), ptt.Ward(0.2))
+    )
+    assert space.coordinates(ptt.BlinnPhong(5.0)).tolist() == pytest.approx([0.75, 0, 0.25, 0, 0])
+    assert space.coordinates(ptt.GGX(0.25, 0.3)).tolist() == pytest.approx([0, 0.75, 0, 0.25, 0])
+    assert space.coordinates(ptt.Ward(0.2)).tolist() == [0, 0, 0, 0, 1]
+    assert space.at(exponent=6.0) == ptt.BlinnPhong(6.0)
+    middle = space.path(ptt.BlinnPhong(4.0), ptt.Ward(0.2), 3)[1]
+    assert space.coordinates(middle).tolist() == pytest.approx([0.5, 0, 0, 0, 0.5])
+    with pytest.raises(ValueError, match="holds blinn-phong, ggx, ward shapes, got cook-torrance"):
+        space.coordinates(ptt.CookTorrance(0.1, 0.2))
+    with pytest.raises(ValueError, match="ward must have ax here, got ax, ay"):
+        space.coordinates(ptt.Ward(0.2, 0.3))
+    materials = [
+        ptt.lambert(),
+        ptt.blinn_phong(exponent=30.0),
+        ptt.ggx(f0=(1.0, 0.7, 0.3)),
+        ptt.ward(0.1, 0.2, 0.1, 0.3),
+    ]
+    held = ptt.BRDFSpace.holding(materials)
+    assert {sample.model for sample in held.samples} == {"blinn-phong", "ggx", "ward"}
+    assert ptt.BRDFSpace.from_config(held.to_config()).samples == held.samples
+    for material in materials:
+        held.coloured(material)
+    assert {sample.model for sample in ptt.BRDFSpace.holding([ptt.lambert()]).samples} == {"blinn-phong"}
+
+
+def test_one_model_shows_materials_of_several_families() -> None:
+    """What each shows alone, by default: a plastic of GGX beside a Blinn-Phong floor, both edited."""
+    from ptt.ops import mesh
+    from ptt.scene.parts import Part
+
+    v, f = mesh.sphere_mesh(1, 0.5)
+    floor = Part("floor", *mesh.plane_mesh(3.0, 4), material=ptt.blinn_phong(0.5, 0.2, 10.0))
+    plastic = ptt.ggx(0.3, 1.0, (0.1, 0.05, 0.04), 0.4)
+    parts = [floor, Part("ball", v + torch.tensor([0, 0.7, 0]), f, material=plastic)]
+    scene = ptt.Scene.from_parts(parts)
+    model = ptt.compress(ptt.precompute(scene, resolution=8), clusters=ptt.Clusters(60, 8, 32, 64))
+    relighter = ptt.TransferRelighter(model, compiled=False)
+    light = ptt.Environment.gradient_sky()
+    for materials in ({}, {"ball": ptt.ggx(0.1, 1.0, (0.9, 0.6, 0.3), 0.3), "floor": ptt.blinn_phong(0.2, 0.5, 40.0)}):
+        radiance = relighter(light, materials, scene.camera)
+        assert bool(radiance.isfinite().all()) and float(radiance.mean()) > 0.01
