@@ -83,6 +83,11 @@ class Material:
         return self.highlights[0]
 
     @property
+    def shining(self) -> tuple[Highlight, ...]:
+        """The highlights that reflect light: their colours are not all 0."""
+        return tuple(h for h in self.highlights if bool((h.colour > 0).any()))
+
+    @property
     def isotropic(self) -> bool:
         """Tell whether a turn about the normal changes nothing."""
         return all(highlight.shape.isotropic for highlight in self.highlights)

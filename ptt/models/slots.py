@@ -46,8 +46,8 @@ def slots_of(receivers: Receivers, functions: int) -> list[Slot]:
         if editable:
             found += [Slot(r, p) for p in range(1, functions + 1)]
         else:
-            shining = [h for h in material.highlights if bool((h.colour > 0).any())]
-            found += [Slot(r, OWN)] * (len(shining) == 1) + [Slot(r, OWN, c) for c in range(3) if len(shining) > 1]
+            count = len(material.shining)
+            found += [Slot(r, OWN)] * (count == 1) + [Slot(r, OWN, c) for c in range(3) if count > 1]
     return found
 
 
@@ -64,8 +64,8 @@ def functions_of(basis: BRDFBasis, material: Material, coloured: Tensor) -> Tens
     coloured (h, 3): its coordinates in the space (`BRDFSpace.coloured`)
     """
     diffuse = material.diffuse.to(basis.table)
-    shining = [h.colour for h in material.highlights if bool((h.colour > 0).any())]
-    own = shining[0].to(diffuse) if len(shining) == 1 else torch.ones_like(diffuse)
+    shining = material.shining
+    own = shining[0].colour.to(diffuse) if len(shining) == 1 else torch.ones_like(diffuse)
     return torch.cat((diffuse[None], basis.table.T @ coloured.to(basis.table), own[None]))
 
 

@@ -106,8 +106,8 @@ def _own(brdf: TensorBRDF, material: Material, channel: int) -> Tensor:
     """Coordinates (h,) of the only highlight of a material, or of a channel of several."""
     if channel >= 0:
         return brdf.space.coloured(material)[:, channel]
-    shining = [h.shape for h in material.highlights if bool((h.colour > 0).any())]
-    return brdf.space.coordinates(shining[0])
+    (highlight,) = material.shining
+    return brdf.space.coordinates(highlight.shape)
 
 
 class Bounces:
