@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ import ptt
 from ptt import reference
 from ptt.light.environment import Environment
 from ptt.materials.material import Material, blinn_phong, cook_torrance, lambert
+from ptt.materials.shapes import Named
 from ptt.ops import mesh
 from ptt.ops.sphere import LatLong
 from ptt.reference import Estimate, Points, along_rays, at_vertices, image, path_tracer, radiance
@@ -412,14 +413,6 @@ def test_normals_are_interpolated_at_hits() -> None:
     assert not torch.allclose(estimate.mean[0], estimate.mean[2], rtol=0.05)
 
 
-@dataclass(frozen=True)
-class Brushed:
-    """f = x^2, along the tangent: a shape that knows one axis from the other."""
-
-    def evaluate(self, wi: Tensor, wo: Tensor) -> Tensor:
-        return wi[..., 0] ** 2 * ((wi[..., 2] > 0) & (wo[..., 2] > 0))
-
-
 @pytest.mark.parametrize(("axis", "expected"), [(0, math.pi * 3 / 8), (1, math.pi * 7 / 24)])
 def test_tangents_reach_the_material(axis: int, expected: float) -> None:
     """Light 1 + X^2 on a floor with f = x^2, x along world X or along Z, seen at a hit and at a given point.
@@ -429,7 +422,7 @@ def test_tangents_reach_the_material(axis: int, expected: float) -> None:
     vertices, faces = mesh.plane_mesh(2.0)
     uv = vertices[:, [0, 2]] if axis == 0 else vertices[:, [2, 0]]
     scene = Scene.from_mesh(vertices, faces, uv=uv)
-    material = replace_shape(Brushed())
+    material = Material(0.0, 1.0, Named("brushed", lambda wi, _: wi[..., 0] ** 2, isotropic=False))
     x = LatLong(256, 512).directions()[..., :1]
     light = Environment((1 + x * x).float().expand(-1, -1, 3).contiguous())
     origins = torch.tensor([[0.3, 1.0, 0.1]]).expand(8, 3)
@@ -440,13 +433,6 @@ def test_tangents_reach_the_material(axis: int, expected: float) -> None:
     for estimate in (at_hits, given):
         assert (estimate.standard_error < 0.01).all()
         assert agrees(estimate, expected, floor=1e-4)
-
-
-def replace_shape(shape: Brushed) -> Material:
-    material = lambert(0.0)
-    object.__setattr__(material, "shape", shape)
-    object.__setattr__(material, "specular", torch.ones(3))
-    return material
 
 
 def test_base_colour_multiplies_the_diffuse_part() -> None:
