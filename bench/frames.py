@@ -123,7 +123,7 @@ def bytes_read(
     """What a frame must read at least, step by step: tensors once each, and of the cuts a cache line a point."""
     exitant = relighter.exitant(light, relighter.chosen(materials))
     points = sum(len(region.place) for region in model.clustered)
-    view = sum(sent.values.nbytes for sent in exitant.sent) + points * (12 * 4 + LINE)
+    view = sum(sent.values.nbytes for layers in exitant.layers for sent, *_ in layers) + points * (12 * 4 + LINE)
     brdf = sum(region.weights.nbytes for region in model.clustered)
     lighting = sum(t.nbytes for r in model.clustered for t in (r.direct, r.one, r.two, r.lighting))
     return {"view": view, "view and BRDF": view + brdf, "view, BRDF and light": view + brdf + lighting}

@@ -59,6 +59,8 @@ class Sphere:
     def mirrored(self, brdf: ptt.TensorBRDF, light: ptt.Environment) -> Tensor:
         """Mean light (v, k, 3) about the axes of the lobes, as the relighter has it."""
         axes = self._world(lobes.lean(brdf.axes, self.wo))
+        if not brdf.angles:
+            return torch.zeros_like(axes)
         return light_about(light_maps.light_maps(light.map, brdf.angles).blurred, axes @ light.rotation.float())
 
     def relit(self, brdf: ptt.TensorBRDF, material: ptt.Material, incident: Tensor, mirrored: Tensor) -> Tensor:

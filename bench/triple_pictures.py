@@ -71,7 +71,7 @@ def truth(scene: ptt.Scene, light: ptt.Environment, given: Materials, pixels: pt
     for name, m in given.items():
         rows = (pixels.region == scene.region_index(name)).nonzero()[:, 0]
         if isinstance(m, ptt.Mixed):
-            share[rows] = scene.share_at(m.share, pixels.triangle[rows], pixels.barycentric[rows])
+            share[rows] = scene.map_values(m.maps, pixels.triangle[rows], pixels.barycentric[rows])[0]
     return parts[0] + share[:, None] * (parts[1] - parts[0])
 
 

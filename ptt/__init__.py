@@ -12,16 +12,17 @@ from ptt import threads as threads  # first: it is read when torch is imported
 # isort: split
 from ptt import reference
 from ptt.imaging.atlas import Atlas
-from ptt.imaging.bumps import BumpMap
 from ptt.imaging.gbuffer import GBuffer
 from ptt.imaging.image import Image, render
 from ptt.imaging.metrics import relative_rmse
 from ptt.light.environment import Environment
-from ptt.materials.material import Material, Mixed, blinn_phong, cook_torrance, ggx, lambert, metal_rough, ward
+from ptt.materials.material import Material, blinn_phong, cook_torrance, ggx, lambert, metal_rough, ward
 from ptt.materials.measured import MERL, NeuralBRDF
 from ptt.materials.shapes import GGX, Blend, BlinnPhong, CookTorrance, Named, Ward
 from ptt.materials.spaces import BRDFSpace, fitted
 from ptt.materials.tabulation import separate, tabulated
+from ptt.materials.textures import Texture
+from ptt.materials.varying import MetalRough, Mixed
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.light_rotation import LightRotation
 from ptt.models.tensor_brdf import TensorBRDF, usual_ranks
@@ -29,6 +30,7 @@ from ptt.models.transfer_model import TransferModel
 from ptt.relight.envmap_relighter import EnvMapRelighter
 from ptt.relight.transfer_relighter import TransferRelighter
 from ptt.relight.triple_relighter import TripleProductRelighter
+from ptt.scene.bumps import BumpMap
 from ptt.scene.camera import Camera
 from ptt.scene.default import default_scene
 from ptt.scene.hidden import without_hidden
@@ -60,6 +62,7 @@ __all__ = [
     "Image",
     "LightRotation",
     "Material",
+    "MetalRough",
     "Mixed",
     "Named",
     "NeuralBRDF",
@@ -67,6 +70,7 @@ __all__ = [
     "Region",
     "Scene",
     "TensorBRDF",
+    "Texture",
     "TransferModel",
     "TransferRelighter",
     "TripleProductRelighter",

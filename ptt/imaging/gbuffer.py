@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from ptt.imaging.bumps import BumpMap, bent_frames
 from ptt.imaging.image import Image
 from ptt.light.environment import Environment
+from ptt.scene.bumps import BumpMap
 from ptt.scene.camera import Camera
 from ptt.scene.scene import Scene
 
@@ -27,6 +27,7 @@ class GBuffer:
     region (p,): index into `Scene.regions`
     uv (p, 2): texture coordinates; None where the scene has none
     missed (height * width,) bool: pixels that see nothing; those that see a back face are black
+    glow (p, 3): radiance that the points send out by themselves; None where the scene has none
     """
 
     camera: Camera
@@ -39,13 +40,14 @@ class GBuffer:
     region: Tensor
     uv: Tensor | None
     missed: Tensor
+    glow: Tensor | None = None
 
     @classmethod
     def of(cls, scene: Scene, camera: Camera, bumps: Mapping[str, BumpMap] | None = None) -> GBuffer:
         """Trace the rays through the pixels' centres.
 
-        bumps: bump maps by region, which bend its frames; light and BRDFs follow them, visibility does not, as in the
-            paper
+        bumps: bump maps by region, in place of its own, which bend its frames; light and BRDFs follow them, visibility
+            does not, as in the paper
 
         A frame whose tangent is parallel to its normal gets another tangent; a warning counts such frames.
 
@@ -62,18 +64,18 @@ class GBuffer:
             return scene.interpolated(values, triangle, barycentric)
 
         region = scene.face_region[triangle]
-        uv = None if scene.uv is None else at_pixels(scene.uv)
         return cls(
             camera=camera,
             pixel=pixel,
             triangle=triangle,
             barycentric=barycentric,
             positions=at_pixels(scene.vertices),
-            frames=bent_frames(scene, bumps or {}, scene.frames_at(triangle, barycentric), uv, region),
+            frames=scene.bent_frames(triangle, barycentric, bumps),
             colours=scene.albedo(triangle, barycentric),
             region=region,
-            uv=uv,
+            uv=None if scene.uv is None else at_pixels(scene.uv),
             missed=hits.triangle < 0,
+            glow=scene.glow(triangle, barycentric),
         )
 
     def interpolated(self, scene: Scene, values: Tensor) -> Tensor:

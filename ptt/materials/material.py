@@ -6,7 +6,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -20,6 +20,19 @@ DIELECTRIC = 0.04  # reflectance straight on of glass and plastic, whose index o
 SMOOTHEST = 0.03  # roughness of GGX that stands for 0: a narrower lobe is a mirror
 
 
+class LayersAt(NamedTuple):
+    """What is at n points of a surface.
+
+    group (n,): which of its material's groups of layers
+    shares (m, n, 3): how much of each layer of that group
+    colour (n, 3): base colour that multiplies the layers' diffuse parts
+    """
+
+    group: Tensor
+    shares: Tensor
+    colour: Tensor
+
+
 @dataclass(frozen=True, eq=False, init=False)
 class Highlight:
     """colour * shape(wi, wo), in 1/sr, per colour; colour (3,): >= 0, and a number stands for grey."""
@@ -28,7 +41,7 @@ class Highlight:
     shape: Shape
 
     def __init__(self, colour: Colour, shape: Shape) -> None:
-        object.__setattr__(self, "colour", _colour("specular", colour, math.inf))
+        object.__setattr__(self, "colour", as_colour("specular", colour, math.inf))
         object.__setattr__(self, "shape", shape)
 
 
@@ -52,10 +65,10 @@ class Material:
     def __init__(
         self, diffuse: Colour = 0.5, specular: Colour = 0.0, shape: Shape | None = None, *more: Highlight
     ) -> None:
-        if shape is None and bool((_colour("specular", specular, math.inf) > 0).any()):
+        if shape is None and bool((as_colour("specular", specular, math.inf) > 0).any()):
             raise ValueError("specular > 0 needs a shape, such as BlinnPhong(exponent) or GGX(f0, roughness)")
         first = () if shape is None else (Highlight(specular, shape),)
-        object.__setattr__(self, "diffuse", _colour("diffuse", diffuse, 1.0))
+        object.__setattr__(self, "diffuse", as_colour("diffuse", diffuse, 1.0))
         object.__setattr__(self, "highlights", (*first, *more))
 
     @property
@@ -93,39 +106,34 @@ class Material:
         return all(highlight.shape.isotropic for highlight in self.highlights)
 
     @property
-    def terms(self) -> tuple[Material, ...]:
+    def layers(self) -> tuple[Material, ...]:
         """Materials with a highlight at most, whose sum it is; the first has the diffuse part."""
         first, *others = self.highlights or (None,)
         alone = Material(self.diffuse) if first is None else Material(self.diffuse, first.colour, first.shape)
         return (alone, *(Material(0.0, h.colour, h.shape) for h in others if h is not None))
 
-    def evaluate(self, wi: Tensor, wo: Tensor, colour: Tensor | None = None) -> Tensor:
+    @property
+    def maps(self) -> tuple[()]:
+        """None: it is the same everywhere (see `ptt.materials.varying`)."""
+        return ()
+
+    @property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """All layers together."""
+        return (tuple(range(max(1, len(self.highlights)))),)
+
+    def at(self, values: Tensor, colour: Tensor) -> LayersAt:
+        """All of every layer at points of base colours (n, 3)."""
+        shares = torch.ones_like(colour).expand(len(self.groups[0]), -1, -1)
+        return LayersAt(torch.zeros_like(colour[:, 0], dtype=torch.int64), shares, colour)
+
+    def evaluate(self, wi: Tensor, wo: Tensor, colour: Tensor | None = None, values: Tensor | None = None) -> Tensor:
         """The BRDF (..., 3) [1/sr] for local unit directions (..., 3); colour (..., 3) multiplies the diffuse part."""
         diffuse = self.diffuse if colour is None else self.diffuse * colour
         value = brdf.lambert(wi, wo)[..., None] * diffuse.to(wi)
         for highlight in self.highlights:
             value = value + highlight.shape.evaluate(wi, wo)[..., None] * highlight.colour.to(wi)
         return value
-
-
-@dataclass(frozen=True, eq=False)
-class Mixed:
-    """Two materials on one surface, (1 - share) first + share second, for shading per pixel (Ma et al. 2006, 4.2).
-
-    share: values in 0..1, a texture (h, w) by the scene's uv, or (v,) at the scene's vertices
-
-    Raises:
-        ValueError: share has another shape or is out of its range.
-    """
-
-    first: Material
-    second: Material
-    share: Tensor
-
-    def __post_init__(self) -> None:
-        if self.share.ndim not in (1, 2) or not self.share.numel():
-            raise ValueError(f"share must be a texture (h, w) or of the vertices (v,), got {tuple(self.share.shape)}")
-        check("share", self.share, 0.0, 1.0)
 
 
 def lambert(diffuse: Colour = 0.5) -> Material:
@@ -167,8 +175,8 @@ def metal_rough(
     """
     check_number("metallic", metallic, 0.0, 1.0)
     check_number("roughness", roughness, 0.0, 1.0)
-    colour = _colour("base", base, 1.0)
-    straight = _colour("reflectance", reflectance, 1.0)
+    colour = as_colour("base", base, 1.0)
+    straight = as_colour("reflectance", reflectance, 1.0)
     f0 = torch.lerp(straight, colour, float(metallic))
     one = bool((f0 == f0[0]).all()) and not f0.requires_grad
     return ggx((1 - metallic) * (1 - straight) * colour, 1.0, float(f0[0]) if one else f0, max(roughness, SMOOTHEST))
@@ -178,31 +186,9 @@ def _schlick(diffuse: Colour, specular: Colour, f0: Colour, shape: Callable[[Num
     """A material of Schlick's reflectance in colour: f0 shape(1) + (1 - f0) shape(0), since it is linear in f0."""
     if torch.as_tensor(f0).numel() == 1:
         return Material(diffuse, specular, shape(f0))  # type: ignore[arg-type]
-    f0 = _colour("f0", f0, 1.0)
-    weight = _colour("specular", specular, math.inf)
+    f0 = as_colour("f0", f0, 1.0)
+    weight = as_colour("specular", specular, math.inf)
     return Material(diffuse, weight * f0, shape(1.0), Highlight(weight * (1 - f0), shape(0.0)))
-
-
-def materials_of_regions(own: Mapping[str, Any], given: Mapping[str, Any], mixed: bool = False) -> dict[str, Any]:
-    """The material of every region, by name and in the order of `own`: the given one, else its own.
-
-    mixed: says whether a region may have two (`Mixed`)
-
-    Raises:
-        ValueError: no region has a given name, or a value is no material.
-    """
-    kinds = (Material, Mixed) if mixed else (Material,)
-    if not isinstance(given, Mapping):
-        one = next(iter(own))
-        raise ValueError(
-            f"materials must map regions to materials, as {{{one!r}: material}}, got {type(given).__name__}"
-        )
-    if unknown := [name for name in given if name not in own]:
-        raise ValueError(f"no region {', '.join(unknown)}; there are {', '.join(own)}")
-    if wrong := [name for name, material in given.items() if not isinstance(material, kinds)]:
-        expected = " or ".join(f"ptt.{kind.__name__}" for kind in kinds)
-        raise ValueError(f"materials must map regions to {expected}, got {type(given[wrong[0]]).__name__}")
-    return {name: given.get(name, material) for name, material in own.items()}
 
 
 def to_config(material: Material) -> dict[str, Any]:
@@ -248,7 +234,7 @@ def from_config(config: Mapping[str, Any]) -> Material:
     return MODELS[model](**values)
 
 
-def _colour(name: str, value: Colour, high: float) -> Tensor:
+def as_colour(name: str, value: Colour, high: float) -> Tensor:
     """A colour (3,), checked to lie in 0..high."""
     try:
         colour = torch.as_tensor(value, dtype=torch.float32)

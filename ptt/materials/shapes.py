@@ -240,7 +240,8 @@ def check(name: str, value: Number | Sequence[float], low: float, high: float) -
     rounded = 1e-6  # float32 may hold a bound a little beside itself
     if not (low * (1 - rounded) <= least and most <= high * (1 + rounded) and math.isfinite(most)):
         bounds = f"at least {low:g}" if high == math.inf else f"in [{low:g}, {high:g}]"
-        raise ValueError(f"{name} must be finite and {bounds}, got {v.tolist()}")
+        got = v.tolist() if v.numel() <= 3 else f"values in {least:g}..{most:g}"
+        raise ValueError(f"{name} must be finite and {bounds}, got {got}")
 
 
 def check_number(name: str, value: Number, low: float, high: float) -> None:

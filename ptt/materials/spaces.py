@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import difflib
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -18,7 +19,8 @@ from ptt.materials import material as mat
 from ptt.materials import shapes
 from ptt.materials.families import Family, family_of
 from ptt.materials.material import Material
-from ptt.materials.shapes import GGX, Analytic, Blend, BlinnPhong, CookTorrance, Named, Number, Shape, Ward
+from ptt.materials.shapes import GGX, Analytic, Blend, BlinnPhong, CookTorrance, Named, Number, Shape, Ward, number
+from ptt.materials.varying import SurfaceMaterial
 
 BRDF = Callable[[Tensor, Tensor], Tensor]  # f(wi, wo): (..., 3), (..., 3) -> (...) [1/sr]
 MERL_SCALE = 1.0, 1.15, 1.66  # of red, green and blue in MERL's tables: the published fits lack it
@@ -103,19 +105,20 @@ class BRDFSpace:
         return cls(tuple(GGX(f0, r) for r in roughnesses for f0 in (0.0, 1.0)))
 
     @classmethod
-    def holding(cls, materials: Iterable[Material]) -> BRDFSpace:
+    def holding(cls, materials: Iterable[SurfaceMaterial]) -> BRDFSpace:
         """The space that holds the shapes of some materials, and all of their models'; Blinn-Phong for none.
 
         Raises:
             ValueError: a material has a `Blend`.
         """
-        every = [highlight.shape for material in materials for highlight in material.highlights]
+        layers = [layer for material in materials for layer in material.layers]
+        every = [highlight.shape for layer in layers for highlight in layer.highlights]
         named = {shape.name: shape for shape in every if isinstance(shape, Named)}
         if blends := [shape for shape in every if isinstance(shape, Blend)]:
             raise ValueError(f"a space of its own is for analytic and named shapes, got {blends[0]}")
         makers: dict[str, Callable[[], BRDFSpace]] = {
             BlinnPhong.model: cls.blinn_phong,
-            GGX.model: cls.ggx,
+            GGX.model: lambda: cls.ggx(_roughnesses(min(number(s.roughness) for s in every if isinstance(s, GGX)))),
             CookTorrance.model: cls.fitted,
             Ward.model: lambda: cls.ward(anisotropic=not all(s.isotropic for s in every if isinstance(s, Ward))),
         }
@@ -315,6 +318,12 @@ def fitted(name: str) -> Material:
         ValueError: no material has that name; the message suggests the nearest ones.
     """
     return BRDFSpace.fitted().material(name)
+
+
+def _roughnesses(least: float) -> tuple[float, ...]:
+    """`ROUGHNESSES`, and as many smaller ones at the same ratio as reach the least."""
+    steps = max(0, math.ceil(24 * math.log10(ROUGHNESSES[0] / least) - 1e-6))
+    return (*(ROUGHNESSES[0] * 0.1 ** (k / 24) for k in range(steps, 0, -1)), *ROUGHNESSES)
 
 
 def _named_material(name: str, given: BRDF | Material) -> Material:

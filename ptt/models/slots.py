@@ -3,6 +3,9 @@
 An editable region has a slot for the diffuse function and one for each specular function of the BRDF basis; a fixed
 region has a slot for each part that its material has. Where the base colour varies over a region, its diffuse function
 has a slot for each colour channel; all other slots are monochrome, and H carries the colours.
+
+A region whose own material varies (`ptt.materials.varying`) has it whole, in a slot for each channel. Where it is
+editable, another material takes the other slots; one that varies otherwise counts as its mean over the region there.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from ptt.materials.material import Material
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.receivers import Receivers
 
-OWN = -1  # the function of a fixed region's own highlight, or of a channel of its highlights where it has several
+OWN = -1  # the function of a fixed region's own highlight, or of a channel of all that its own material reflects
 
 
 class Slot(NamedTuple):
@@ -40,14 +43,16 @@ def slots_of(receivers: Receivers, functions: int) -> list[Slot]:
         material = receivers.materials[receivers.names[r]]
         editable = receivers.editable[r]
         colours = receivers.colours[first:end]
-        if editable or bool((material.diffuse > 0).any()):
+        if editable or (isinstance(material, Material) and bool((material.diffuse > 0).any())):
             grey = bool((colours == colours[:, :1]).all())
             found += [Slot(r, 0)] if grey else [Slot(r, 0, c) for c in range(3)]
         if editable:
             found += [Slot(r, p) for p in range(1, functions + 1)]
-        else:
+        if isinstance(material, Material) and not editable:
             count = len(material.shining)
             found += [Slot(r, OWN)] * (count == 1) + [Slot(r, OWN, c) for c in range(3) if count > 1]
+        elif not isinstance(material, Material):
+            found += [Slot(r, OWN, c) for c in range(3)]
     return found
 
 
@@ -58,15 +63,35 @@ def chosen(slots: Sequence[Slot], functions: int) -> tuple[Tensor, Tensor]:
     return torch.tensor(rows, dtype=torch.int64), torch.tensor(keep).reshape(-1, 3)
 
 
-def functions_of(basis: BRDFBasis, material: Material, coloured: Tensor) -> Tensor:
+def functions_of(basis: BRDFBasis, material: Material, coloured: Tensor, whole: bool = False) -> Tensor:
     """Coefficients (1 + p + 1, 3) of a material: of the diffuse function, those of the basis, and OWN.
 
     coloured (h, 3): its coordinates in the space (`BRDFSpace.coloured`)
+    whole: says whether OWN is a material that varies, which this one is not
     """
     diffuse = material.diffuse.to(basis.table)
-    shining = material.shining
-    own = shining[0].colour.to(diffuse) if len(shining) == 1 else torch.ones_like(diffuse)
+    shining = () if whole else material.shining
+    own = shining[0].colour.to(diffuse) if len(shining) == 1 else torch.full_like(diffuse, float(not whole))
     return torch.cat((diffuse[None], basis.table.T @ coloured.to(basis.table), own[None]))
+
+
+def whole_of(basis: BRDFBasis) -> Tensor:
+    """Coefficients (1 + p + 1, 3) of a region's own material that varies: OWN alone."""
+    functions = basis.table.new_zeros(2 + basis.table.shape[1], 3)
+    functions[-1] = 1
+    return functions
+
+
+def mean_of(basis: BRDFBasis, layers: Sequence[Material], shares: Tensor, tint: Tensor, whole: bool) -> Tensor:
+    """Coefficients (1 + p + 1, 3) of a material that varies, of its mean over a region.
+
+    layers, shares (k, n, 3): its layers, and how much of each is at the region's points
+    tint (3,): by what it multiplies the mean base colour
+    """
+    mean = shares.mean(1)
+    parts = [functions_of(basis, layer, basis.space.coloured(layer), whole) for layer in layers]
+    functions = (torch.stack(parts) * mean[:, None].to(parts[0])).sum(0)
+    return torch.cat((functions[:1] * tint, functions[1:]))
 
 
 def coefficients(slots: Sequence[Slot], basis: BRDFBasis, materials: Sequence[Material]) -> Tensor:

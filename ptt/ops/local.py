@@ -12,15 +12,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 
 import torch
 from torch import Tensor
 
+from ptt.ops.albedo import nodes
+from ptt.ops.brdf import half_vector
 from ptt.ops.constants import BYTE, ROOTS
 from ptt.ops.geodesic import FINEST_LEVEL, Geodesic
 from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.raycast import Surface
 
+EDGE = math.atan(2)  # [rad] of a root, an icosahedron's triangle
+FINEST_ANGLE = 1e-4  # [rad] half angle that the quadrature over narrow lobes resolves (`ops.albedo.nodes`)
+RINGS = 32  # half angles of that quadrature on either side of the horizon's bound
+ARCS = 24  # azimuths of that quadrature
+DIRECTIONS_AT_ONCE = 64  # of view, whose nodes take 7 MB
+TRIED_VIEWS = 100  # directions of view that tell whether a lobe falls between samples
+LOW = 0.1  # height of a direction of view, 6 degrees: below it the quadrature is less exact
+RESOLVED = 0.01  # share of the reflected light, RMS over views, that samples on triangles may miss
 ZERO_WITHIN = 1e-9  # a coordinate this little below 0 counts as 0, so that the planes between mirror images are kept
 _RAYS_AT_ONCE = 1 << 20  # 24 MB of origins and directions in float32
 _VALUES_AT_ONCE = 1 << 18  # of the BRDF: 1 MB, which stays in the cache
@@ -78,18 +89,87 @@ def brdf_table(
     """F (views^2, n) of a BRDF for all directions of `HemiOctahedral(views)`.
 
     mirrored: says that f is its own mirror image in x and in y, as the grid is; then only a quarter of it is sampled
+
+    A lobe that falls between the samples of a triangle is integrated over nodes of its own (`narrow_brdf`).
     """
     wo = HemiOctahedral(views).directions().reshape(-1, 3)
-    if not mirrored:
-        return brdf(f, grid, wo, samples)
     quarter = ((wo[:, 0] > -ZERO_WITHIN) & (wo[:, 1] > -ZERO_WITHIN)).nonzero()[:, 0]
-    found = brdf(f, grid, wo[quarter], samples)
+    rows = quarter if mirrored else torch.arange(len(wo))
+    resolved = _resolved(f, grid, wo, samples)
+    found = brdf(f, grid, wo[rows], samples) if resolved else narrow_brdf(f, grid, views, mirrored, rows, samples)
+    if not mirrored:
+        return found
     table = torch.empty(len(wo), grid.cells, dtype=torch.float32)
     for x, y in ((1, 1), (-1, 1), (1, -1), (-1, -1)):
         flip = torch.tensor([x, y, 1], dtype=torch.float64)
         rows = HemiOctahedral(views).cell(wo[quarter] * flip)
         table[rows] = found[:, grid.cell(grid.directions() * flip)]
     return table
+
+
+def narrow_brdf(
+    f: Callable[[Tensor, Tensor], Tensor], grid: Geodesic, views: int, mirrored: bool, rows: Tensor, samples: int
+) -> Tensor:
+    """F (o, n) of a BRDF with a lobe narrower than triangles, for some directions of `HemiOctahedral(views)` (o,).
+
+    Half vectors near the normal, up to the width of a triangle, are those of a quadrature that resolves lobes there
+    (`ops.albedo.nodes`), each in the triangle of its direction; what is left is sampled as by `brdf`. At level 2 the
+    samples of GGX of roughness 0.2 reflect 17 % too much or too little, RMS over views; this 0.3 %.
+    """
+    wo = HemiOctahedral(views).directions().reshape(-1, 3)[rows]
+    near = _nearness(grid.level)
+    table = brdf(lambda wi, wo: f(wi, wo) * (1 - near(wi, wo)), grid, wo, samples)
+    cells = _cells_of_lobes(grid.level, views, mirrored)
+    scale = grid.cells / ROOTS
+    for first in range(0, len(wo), DIRECTIONS_AT_ONCE):
+        some = slice(first, first + DIRECTIONS_AT_ONCE)
+        wi, weights = nodes(wo[some], FINEST_ANGLE, RINGS, ARCS)
+        out = wo[some, None].expand_as(wi)
+        values = f(wi, out) * near(wi, out) * weights * scale
+        table[some] += (
+            torch.zeros(len(values), grid.cells, dtype=torch.float64)
+            .scatter_add_(1, cells[some].long(), torch.where(weights > 0, values, 0.0))
+            .float()
+        )
+    return table
+
+
+def _resolved(f: Callable[[Tensor, Tensor], Tensor], grid: Geodesic, wo: Tensor, samples: int) -> bool:
+    """Tell whether samples on triangles find what a BRDF reflects, to RESOLVED, of some directions of view (o, 3)."""
+    some = wo[:: max(1, len(wo) // TRIED_VIEWS)]
+    some = some[some[:, 2] > LOW]
+    wi, weights = nodes(some, FINEST_ANGLE, RINGS, ARCS)
+    albedo = (f(wi, some[:, None].expand_as(wi)) * weights).nan_to_num().sum(1)
+    sampled = brdf(f, grid, some, samples).sum(1) * (ROOTS / grid.cells)
+    return bool(((sampled - albedo).square().sum() <= RESOLVED**2 * albedo.square().sum()).all())
+
+
+def _nearness(level: int) -> Callable[[Tensor, Tensor], Tensor]:
+    """near(wi, wo): 1 where the half vector is as near to the normal as half a triangle's edge, 0 from a whole one."""
+    edge = EDGE / 2**level
+
+    def near(wi: Tensor, wo: Tensor) -> Tensor:
+        h = half_vector(wi, wo)
+        angle = torch.atan2(h[..., :2].norm(dim=-1), h[..., 2])
+        t: Tensor = (2 - 2 * angle / edge).clamp(0, 1)
+        return t * t * (3 - 2 * t)
+
+    return near
+
+
+@lru_cache(maxsize=2)
+def _cells_of_lobes(level: int, views: int, mirrored: bool) -> Tensor:
+    """The triangles (o, m) int32 of the nodes of every direction of view, or of a quarter of them."""
+    grid = Geodesic(level)
+    wo = HemiOctahedral(views).directions().reshape(-1, 3)
+    if mirrored:
+        wo = wo[(wo[:, 0] > -ZERO_WITHIN) & (wo[:, 1] > -ZERO_WITHIN)]
+    parts = []
+    for some in wo.split(DIRECTIONS_AT_ONCE):
+        wi = nodes(some, FINEST_ANGLE, RINGS, ARCS)[0]
+        wi = torch.where(wi[..., 2:] > 0, wi, wi.new_tensor([0.0, 0.0, 1.0]))
+        parts.append(grid.cell(wi).int())
+    return torch.cat(parts)
 
 
 def cosine(grid: Geodesic) -> Tensor:

@@ -138,6 +138,13 @@ def _u_directions(vertices: Tensor, faces: Tensor, uv: Tensor) -> Tensor:
     return _scatter(angles * _unit(direction, 0.0)[:, None], faces, len(vertices))
 
 
+def mirrored(uv: Tensor, faces: Tensor) -> Tensor:
+    """Tell (f,) where texture coordinates (v, 2) run clockwise around a triangle that is seen from the front."""
+    s, t, r = uv.double()[faces].unbind(1)
+    (du1, dv1), (du2, dv2) = (t - s).unbind(-1), (r - s).unbind(-1)
+    return torch.lt(du1 * dv2 - du2 * dv1, 0)
+
+
 def inset(vertices: Tensor, faces: Tensor, normals: Tensor, share: float) -> Tensor:
     """Vertices (v, 3) moved along the surface by a share of their way to the mean of their triangles' centres."""
     centres = vertices[faces].mean(1, keepdim=True).expand(-1, 3, -1)

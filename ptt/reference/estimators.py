@@ -29,7 +29,7 @@ import torch
 from torch import Tensor
 
 from ptt.light.environment import Environment
-from ptt.materials.material import Material
+from ptt.materials.varying import SurfaceMaterial
 from ptt.reference.path_tracer import Estimate, PathTracer, PathVertices, to_local
 from ptt.scene.camera import Camera
 from ptt.scene.parts import Part
@@ -43,16 +43,20 @@ class Points(NamedTuple):
     frame (n, 3, 3): rows tangent, bitangent, normal
     region (n,): index into `Scene.regions`
     colour (n, 3): linear base colour
+    triangle (n,), barycentric (n, 3): where on the mesh; None will do where no material has maps and nothing glows
     """
 
     position: Tensor
     frame: Tensor
     region: Tensor
     colour: Tensor
+    triangle: Tensor | None = None
+    barycentric: Tensor | None = None
 
     def take(self, rows: Tensor) -> Points:
         """Some of the points, by their numbers (k,)."""
-        return Points(*(field[rows] for field in self))
+        places = (None if field is None else field[rows] for field in (self.triangle, self.barycentric))
+        return Points(*(field[rows] for field in self[:4]), *places)
 
 
 class Settings(TypedDict, total=False):
@@ -72,14 +76,14 @@ class Settings(TypedDict, total=False):
 
 def vertex_points(scene: Scene) -> Points:
     """The scene's vertices as points, where they are lit (`Scene.points`)."""
-    return Points(scene.points, scene.frames, scene.vertex_region, scene.colours)
+    return Points(scene.points, scene.frames, scene.vertex_region, scene.colours, *scene.vertex_places)
 
 
 @torch.no_grad()
 def radiance(
     scene: Scene,
     environment: Environment,
-    materials: Mapping[str, Material],
+    materials: Mapping[str, SurfaceMaterial],
     points: Points,
     wo: Tensor,
     **settings: Unpack[Settings],
@@ -91,16 +95,34 @@ def radiance(
     """
     _check(points, wo, len(scene.regions))
     tracer = PathTracer(scene, environment, materials, **settings)
-    origin = scene.surface.offset(points.position, points.frame[:, 2])
+    return tracer.estimate(_starts(tracer, points, wo))
+
+
+def _starts(tracer: PathTracer, points: Points, wo: Tensor) -> PathVertices:
+    """The points of a tracer's scene, where paths towards wo (n, 3) start.
+
+    Raises:
+        ValueError: the points do not say where they are, and a material has maps or a region glows.
+    """
+    scene = tracer.scene
     frame = points.frame.float()
-    start = PathVertices(origin, frame, points.region, points.colour.float(), to_local(frame, wo.float()))
-    return tracer.estimate(start)
+    if points.triangle is not None and points.barycentric is not None:
+        values = tracer.values_at(points.triangle, points.barycentric)
+        glow = tracer.glow_at(points.triangle, points.barycentric)
+    elif tracer.maps or any(region.glow is not None for region in scene.regions):
+        raise ValueError("points must have triangle and barycentric: a material has maps, or a region glows")
+    else:
+        values = frame.new_zeros(len(frame), 0)
+        glow = torch.zeros_like(frame[:, 0])
+    origin = scene.surface.offset(points.position, points.frame[:, 2])
+    wo = to_local(frame, wo.float())
+    return PathVertices(origin, frame, points.region, points.colour.float(), values, glow, wo)
 
 
 def at_vertices(
     scene: Scene,
     environment: Environment,
-    materials: Mapping[str, Material],
+    materials: Mapping[str, SurfaceMaterial],
     camera: Camera,
     **settings: Unpack[Settings],
 ) -> Estimate:
@@ -109,30 +131,32 @@ def at_vertices(
     return radiance(scene, environment, materials, vertex_points(scene), wo, **settings)
 
 
+@torch.no_grad()
 def unshadowed(
     scene: Scene,
     environment: Environment,
-    materials: Mapping[str, Material],
+    materials: Mapping[str, SurfaceMaterial],
     points: Points,
     wo: Tensor,
     **settings: Unpack[Settings],
 ) -> Estimate:
     """`radiance` (n, 3) of points from which nothing hides the light: the truth for `EnvMapRelighter`."""
+    _check(points, wo, len(scene.regions))
+    starts = _starts(PathTracer(scene, environment, materials, **settings), points, wo)
     centre, radius = scene.bounds
     # every region is two triangles so small and so far above and below that they hide nothing
-    far = torch.tensor([0.0, 1e4, 0.0])
-    specks = centre + radius * torch.cat(
-        (1e-3 * torch.eye(3, dtype=torch.float32) - far, 1e-3 * torch.eye(3, dtype=torch.float32) + far)
-    )
+    corners = 1e-3 * torch.eye(3, dtype=torch.float32)
+    far = corners.new_tensor([0.0, 1e4, 0.0])
+    specks = centre + radius * torch.cat((corners - far, corners + far))
     parts = [Part(region.name, specks, torch.tensor([[0, 1, 2], [3, 4, 5]])) for region in scene.regions]
-    return radiance(Scene.from_parts(parts), environment, materials, points, wo, **settings)
+    return PathTracer(Scene.from_parts(parts), environment, materials, **settings).estimate(starts)
 
 
 @torch.no_grad()
 def along_rays(
     scene: Scene,
     environment: Environment,
-    materials: Mapping[str, Material],
+    materials: Mapping[str, SurfaceMaterial],
     origins: Tensor,
     directions: Tensor,
     **settings: Unpack[Settings],
@@ -153,7 +177,7 @@ def along_rays(
 def image(
     scene: Scene,
     environment: Environment,
-    materials: Mapping[str, Material],
+    materials: Mapping[str, SurfaceMaterial],
     camera: Camera,
     **settings: Unpack[Settings],
 ) -> Estimate:

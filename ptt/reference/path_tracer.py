@@ -14,8 +14,8 @@ from torch import Tensor
 from tqdm import tqdm
 
 from ptt.light.environment import Environment
-from ptt.materials.material import Material
 from ptt.materials.shapes import GGX, BlinnPhong, CookTorrance, Shape, Ward, number
+from ptt.materials.varying import SurfaceMaterial
 from ptt.ops.raycast import Hits
 from ptt.reference.sampling import BeckmannLobe, GGXLobe, Lobe, Mixture, PowerLobe
 from ptt.scene.scene import Scene
@@ -41,6 +41,8 @@ class PathVertices(NamedTuple):
     origin (n, 3) float64: where rays start, off the surface
     frame (n, 3, 3): rows tangent, bitangent, normal
     region (n,), colour (n, 3): index into `Scene.regions`, and linear base colour
+    values (n, m): those of the maps of their materials (`ptt.materials.varying`)
+    glow (n, 3): radiance that they send out by themselves
     wo (n, 3): direction to where the path came from, in the local frame
     """
 
@@ -48,6 +50,8 @@ class PathVertices(NamedTuple):
     frame: Tensor
     region: Tensor
     colour: Tensor
+    values: Tensor
+    glow: Tensor
     wo: Tensor
 
     def take(self, rows: Tensor) -> PathVertices:
@@ -62,7 +66,7 @@ class PathTracer:
         self,
         scene: Scene,
         environment: Environment,
-        materials: Mapping[str, Material],
+        materials: Mapping[str, SurfaceMaterial],
         *,
         bounces: int = 0,
         samples: int = 256,
@@ -78,6 +82,7 @@ class PathTracer:
         self.environment = environment
         self.sampler = environment.sampler()
         self.materials = [materials[region.name] for region in scene.regions]
+        self.maps = max(len(material.maps) for material in self.materials)
         self.mixtures = [_mixture(material) for material in self.materials]
         self.bounces = bounces
         self.samples = samples
@@ -118,7 +123,7 @@ class PathTracer:
                 bar.update(means[..., 0].numel() * size)
         mean = sums[0] / batches
         variance = (sums[1] / batches - mean.square()).clamp(min=0) / (batches - 1)
-        return Estimate(mean, variance.sqrt())
+        return Estimate(mean + start.glow, variance.sqrt())
 
     def _bar(self, paths: int) -> tqdm:
         return tqdm(total=paths, unit=" paths", unit_scale=True, disable=not self.progress)
@@ -154,6 +159,7 @@ class PathTracer:
                 rows, at = self.arrive(hits, world)
                 path = _pick(path, rows)
                 weight = _pick(weight, rows)
+                light.index_add_(0, path, weight * at.glow)
                 u = _uniform(len(rows), random)
         return light
 
@@ -197,7 +203,8 @@ class PathTracer:
             i = _pick(wi, rows)
             o = _pick(at.wo, rows)
             colour = _pick(at.colour, rows)
-            response.index_copy_(0, rows, self.materials[index].evaluate(i, o, colour))
+            values = _pick(at.values, rows).T
+            response.index_copy_(0, rows, self.materials[index].evaluate(i, o, colour, values))
             density.index_copy_(0, rows, self.mixtures[index].density(i, o))
         return response * wi[:, 2:], density
 
@@ -215,28 +222,47 @@ class PathTracer:
         corners = _pick(self.corners, triangle).view(-1, 10, 3)
         position = corners[:, 0].double() + (corners[:, 1:3] * weights[:, 1:, None]).sum(1)
         frame = orthonormal(_mix(corners[:, 4:7], weights), _mix(corners[:, 7:10], weights))
+        frame = self.scene.bent(frame, triangle, weights)
         wo = -to_local(frame, _pick(directions, rows))
         at = PathVertices(
             self.scene.surface.offset(position, corners[:, 3]),
             frame,
             self.scene.face_region[triangle],
             self.scene.albedo(triangle, weights),
+            self.values_at(triangle, weights),
+            self.glow_at(triangle, weights),
             wo,
         )
         above = torch.nonzero(wo[:, 2] > GRAZING)[:, 0]
         return _pick(rows, above), at.take(above)
 
+    def values_at(self, triangle: Tensor, barycentric: Tensor) -> Tensor:
+        """The values (n, m) of the maps of the materials inside triangles (n,), at barycentric (n, 3)."""
+        values = torch.ones(len(triangle), self.maps, dtype=torch.float32)
+        for index, material in enumerate(self.materials):
+            rows = torch.nonzero(self.scene.face_region[triangle] == index)[:, 0]
+            if material.maps and len(rows):
+                own = self.scene.map_values(material.maps, _pick(triangle, rows), _pick(barycentric, rows))
+                values[rows, : len(own)] = own.T
+        return values
 
-def _mixture(material: Material) -> Mixture:
+    def glow_at(self, triangle: Tensor, barycentric: Tensor) -> Tensor:
+        """What points send out by themselves (n, 3)."""
+        glow = self.scene.glow(triangle, barycentric)
+        return torch.zeros(len(triangle), 3, dtype=torch.float32) if glow is None else glow
+
+
+def _mixture(material: SurfaceMaterial) -> Mixture:
     """The mixture that draws directions for a material: lobes' shares are about their parts of the reflected light."""
     lobes: dict[Lobe, float] = {}
-    for highlight in material.highlights:
+    for highlight in (h for layer in material.layers for h in layer.highlights):
         found = _lobe(highlight.shape)
         if found is not None:
             lobe, albedo = found
             lobes[lobe] = lobes.get(lobe, 0.0) + albedo * number(highlight.colour.mean())
     specular = sum(lobes.values())
-    share = min(max(specular / max(specular + number(material.diffuse.mean()), 1e-12), 0.1), 0.9)
+    diffuse = sum(number(layer.diffuse.mean()) for layer in material.layers)
+    share = min(max(specular / max(specular + diffuse, 1e-12), 0.1), 0.9)
     total = max(specular, 1e-300)
     return Mixture(
         tuple(lobes), tuple(share * part / total if specular else share / len(lobes) for part in lobes.values())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from ptt.light.environment import Environment
 from ptt.materials.material import Material
+from ptt.materials.varying import SurfaceMaterial, Varying, all_shares
 from ptt.models import slots
 from ptt.models.cache import Cache, watched
 from ptt.models.clustered_transfer import ClusteredTransfer
@@ -45,31 +46,40 @@ class MaterialLobes(NamedTuple):
     blurs: Tensor
 
 
-class RegionMaterial(NamedTuple):
-    """A region's material: its part of H (1 + p + 1, c), M (c, 1 + o, 1 + i), the lobes of its highlights."""
+class LayerTables(NamedTuple):
+    """A layer of a region's material: M (c, 1 + o, 1 + i), the lobes of its highlights, and how much of it there is at
+    each of the region's points (n, c), None for all."""
 
-    functions: Tensor
     coupling: Tensor
     lobes: list[MaterialLobes]
+    share: Tensor | None
 
 
-class MoreLobes(NamedTuple):
-    """The lobes of one more highlight of a region, by its number, and what arrives there, 0 and I (b, c, 1 + s, w)."""
+class RegionMaterial(NamedTuple):
+    """A region's material: its part of H (1 + p + 1, c), its layers, and the base colour (c, n) of its points in
+    blocks, None for white."""
 
-    region: int
+    functions: Tensor
+    layers: list[LayerTables]
+    colour: Tensor | None
+
+
+class Layer(NamedTuple):
+    """A part of what a region sends out: Q and I (b, c, 1 + o + s, w), the lobes that I lights, and how much of it all
+    there is at each point (n, c), None for all. whole: says whether there is a Q, or I alone."""
+
     sent: OutgoingLight
-    lobes: LitLobes
+    lobes: LitLobes | None
+    share: Tensor | None
+    whole: bool
 
 
 class ClusterExitant(NamedTuple):
-    """With materials: of every region its points, Q and I (b, c, 1 + o + s, w), and its first lobes; V (cells, o); the
-    lobes of further highlights."""
+    """With materials: of every region its points and its layers; V (cells, o)."""
 
     surfaces: list[SurfaceBlocks]
-    sent: list[OutgoingLight]
-    lobes: list[LitLobes | None]
+    layers: list[list[Layer]]
     outgoing: Tensor
-    more: list[MoreLobes]
 
 
 @in_python
@@ -161,21 +171,47 @@ class ClusterSteps(nn.Module):
         return ArrivingLight(direct, one, two)
 
     @opaque
-    def materials(self, materials: Sequence[Material]) -> list[RegionMaterial]:
+    def materials(self, materials: Sequence[SurfaceMaterial]) -> list[RegionMaterial]:
         """From the materials of all regions to tables, made anew only where a material changed."""
         buffers = watched(self.model.brdf, self.basis)
         return [
-            cache((material, buffers), partial(self._material, material))
-            for cache, material in zip(self._materials, materials, strict=True)
+            cache((material, buffers), partial(self._material, region, material))
+            for region, (cache, material) in enumerate(zip(self._materials, materials, strict=True))
         ]
 
-    def _material(self, material: Material) -> RegionMaterial:
+    def _material(self, region: int, material: SurfaceMaterial) -> RegionMaterial:
+        own = self.model.receivers.materials[self.model.receivers.names[region]]
+        colour = self.points[region].colour
+        if isinstance(material, Material):
+            coloured = self.model.brdf.space.coloured(material)
+            functions = slots.functions_of(self.basis, material, coloured, not isinstance(own, Material))
+            return RegionMaterial(functions, [self._layer(material, None)], colour)
+        return self._varying(region, material, own)
+
+    def _varying(self, region: int, material: Varying, own: SurfaceMaterial) -> RegionMaterial:
+        """The tables of a material that varies: the layers of which there are some, each with its shares."""
+        at = self.model.receivers.layers_at(region, material)
+        shares = all_shares(material, at).to(self.basis.table)
+        there = [
+            (layer, share) for layer, share in zip(material.layers, shares, strict=True) if bool((share > 0).any())
+        ]
+        layers = [self._layer(layer, share) for layer, share in there]
+        if material is own:
+            functions = slots.whole_of(self.basis)
+        else:
+            colours = self.model.colours[self._rows()[region]]
+            tint = at.colour.mean(0).to(colours) / colours.mean(0).clamp(min=1e-6)
+            whole = not isinstance(own, Material)
+            functions = slots.mean_of(self.basis, material.layers, shares, tint, whole)
+        return RegionMaterial(functions, layers, self.model.clustered[region].in_line(at.colour.to(shares)))
+
+    def _layer(self, material: Material, share: Tensor | None) -> LayerTables:
+        """The tables of a material that is the same everywhere."""
         brdf = self.model.brdf
         highlights = brdf.space.highlights(material)
-        coloured = brdf.space.mixed(highlights)
         lobes = [self._lobes(*highlight) for highlight in highlights] if brdf.angles else []
-        functions = slots.functions_of(self.basis, material, coloured)
-        return RegionMaterial(functions, brdf.coupling(material, coloured), [one for one in lobes if one is not None])
+        coupling = brdf.coupling(material, brdf.space.mixed(highlights))
+        return LayerTables(coupling, [one for one in lobes if one is not None], share)
 
     def _lobes(self, coordinates: Tensor, colour: Tensor) -> MaterialLobes | None:
         """The lobes of a shape, by its coordinates in the space; None where all are dull."""
@@ -199,28 +235,37 @@ class ClusterSteps(nn.Module):
         slots = [points.slots for points in self.points]
         pairs = [points.pairs for points in self.points]
         h = slot_weights(functions, self.rows, self.keep, slots, pairs)
-        each = list(zip(self.model.clustered, light.arriving, materials, h, strict=True))
-        sent = [self._sent(region, arriving, material, *weights) for region, arriving, material, weights in each]
-        lobes = [self._lit(material.lobes[0], light) if material.lobes else None for material in materials]
-        more = []
-        for r, (region, arriving, material, weights) in enumerate(each):
-            if material.lobes[1:]:
-                dark = material._replace(coupling=torch.zeros_like(material.coupling[:, :1]))
-                arrived = self._sent(region, arriving, dark, *weights)
-                more += [MoreLobes(r, arrived, self._lit(other, light)) for other in material.lobes[1:]]
+        layers = []
+        for region, arriving, material, weights in zip(self.model.clustered, light.arriving, materials, h, strict=True):
+            sent = partial(self._sent, region, arriving, *weights)
+            layers.append([layer for tables in material.layers for layer in self._layers(tables, light, sent)])
         surfaces = [
-            SurfaceBlocks(points.position, points.frame, points.colour, region.cuts, region.place)
-            for points, region in zip(self.points, self.model.clustered, strict=True)
+            SurfaceBlocks(points.position, points.frame, material.colour, region.cuts, region.place)
+            for points, region, material in zip(self.points, self.model.clustered, materials, strict=True)
         ]
-        return ClusterExitant(surfaces, sent, lobes, self.model.brdf.u_o.flatten(1).T.contiguous(), more)
+        return ClusterExitant(surfaces, layers, self.model.brdf.u_o.flatten(1).T.contiguous())
+
+    def _layers(self, tables: LayerTables, light: ClusterLight, sent: Callable[..., OutgoingLight]) -> list[Layer]:
+        """A layer with its first highlight, and one for the lobes of each further highlight."""
+        lobes = [self._lit(own, light) for own in tables.lobes]
+        found = [Layer(sent(tables.coupling, bool(lobes)), lobes[0] if lobes else None, tables.share, True)]
+        if lobes[1:]:
+            arrived = sent(torch.zeros_like(tables.coupling[:, :1]), True)
+            found += [Layer(arrived, own, tables.share, False) for own in lobes[1:]]
+        return found
 
     def _sent(
-        self, region: ClusteredTransfer, arriving: ArrivingLight, material: RegionMaterial, h: Tensor, pairs: Tensor
+        self,
+        region: ClusteredTransfer,
+        arriving: ArrivingLight,
+        h: Tensor,
+        pairs: Tensor,
+        coupling: Tensor,
+        glossy: bool,
     ) -> OutgoingLight:
         """What the points of a region send out, of H (c, q) and its products (c, pairs)."""
         responses = Responses(self.to_factors, self.to_harmonics)
-        glossy = bool(material.lobes)
-        eigen = self._operations.eigen(arriving, h, pairs, material.coupling, responses, glossy)
+        eigen = self._operations.eigen(arriving, h, pairs, coupling, responses, glossy)
         sent: OutgoingLight = self._operations.expand(eigen, region.weights, region.cluster)
         return sent
 
@@ -235,15 +280,26 @@ class ClusterSteps(nn.Module):
         eyes = [eye] * len(exitant.surfaces)
         if eye.ndim == 2:
             eyes = [region.in_line(eye[own]) for region, own in zip(self.model.clustered, self._rows(), strict=True)]
-        regions = map(ViewedRegion, exitant.surfaces, eyes, exitant.sent, exitant.lobes)
-        radiance: Tensor = self._operations.view(list(regions), exitant.outgoing)
-        if not exitant.more:
+        seen = [
+            ViewedRegion(surface, at, layers[0].sent, layers[0].lobes)
+            for surface, at, layers in zip(exitant.surfaces, eyes, exitant.layers, strict=True)
+        ]
+        radiance: Tensor = self._operations.view(seen, exitant.outgoing)
+        if all(len(layers) == 1 and layers[0].share is None for layers in exitant.layers):
             return radiance
         parts = list(radiance.split([len(surface.place) for surface in exitant.surfaces]))
-        for r, arrived, lobes in exitant.more:
-            seen = ViewedRegion(exitant.surfaces[r]._replace(colour=None), eyes[r], arrived, lobes)
-            parts[r] = parts[r] + self._operations.view([seen], exitant.outgoing[:, :0])
+        for r, (first, *more) in enumerate(exitant.layers):
+            parts[r] = _some(parts[r], first.share)
+            for layer in more:
+                outgoing = exitant.outgoing if layer.whole else exitant.outgoing[:, :0]
+                points = exitant.surfaces[r] if layer.whole else exitant.surfaces[r]._replace(colour=None)
+                part = self._operations.view([ViewedRegion(points, eyes[r], layer.sent, layer.lobes)], outgoing)
+                parts[r] = parts[r] + _some(part, layer.share)
         return torch.cat(parts)
+
+
+def _some(radiance: Tensor, share: Tensor | None) -> Tensor:
+    return radiance if share is None else radiance * share
 
 
 def slot_weights(

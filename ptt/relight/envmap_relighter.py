@@ -4,7 +4,8 @@ geometry change; the shadows of the scene are ambient occlusion, or none."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import torch
@@ -14,6 +15,7 @@ from ptt.imaging.gbuffer import GBuffer
 from ptt.light.environment import Environment
 from ptt.materials.material import Material
 from ptt.materials.shapes import Shape
+from ptt.materials.varying import SurfaceMaterial
 from ptt.models.cache import Cache, watched
 from ptt.models.light_rotation import LightRotation
 from ptt.ops import haar, slices
@@ -24,7 +26,7 @@ from ptt.relight.light_step import LightStep
 from ptt.relight.operations import operations
 from ptt.relight.relighter import Relighter
 from ptt.relight.shape_tables import ShapeTables
-from ptt.relight.viewpoint import View
+from ptt.relight.viewpoint import View, glow_of
 from ptt.scene.scene import Scene
 
 TERMS = 96
@@ -41,12 +43,16 @@ class LocalLight(NamedTuple):
 
 
 class SurfacePoints(NamedTuple):
-    """Points of any kind: positions (v, 3), frames (v, 3, 3), colours (v, 3), occlusion (v,)."""
+    """Points of any kind: positions (v, 3), frames (v, 3, 3), colours (v, 3), occlusion (v,); region (v,); where on the
+    mesh: triangle (v,), barycentric (v, 3)."""
 
     positions: Tensor
     frames: Tensor
     colours: Tensor
     occlusion: Tensor
+    region: Tensor
+    triangle: Tensor
+    barycentric: Tensor
 
 
 class Reflected(NamedTuple):
@@ -90,13 +96,23 @@ class RegionPoints(nn.Module):
         count = len(rows)
         rows = rows[nearest.argsort(stable=True)]
         rows = torch.cat((rows, rows[-1:].expand(-count % ALIGNED)))
-        positions, frames, colour, occlusion = (x[rows] for x in surface)
+        positions, frames, colour, occlusion = (x[rows] for x in surface[:4])
         return cls(count, rows, slices.located(positions, frames, sampled), colour, occlusion[:, None])
 
     @property
     def lookup(self) -> NormalLookup:
         """The points among the sampled normals."""
         return NormalLookup(*(self.get_buffer(name) for name in NormalLookup._fields))
+
+
+class LayeredPoints(NamedTuple):
+    """The points of a region that have the same layers: those of its material by their numbers, and how much of each
+    (m, v, 3), None for all of every layer; the base colour (v, 3)."""
+
+    points: RegionPoints
+    layers: tuple[int, ...]
+    shares: Tensor | None
+    colour: Tensor
 
 
 @in_python
@@ -154,14 +170,14 @@ class EnvMapRelighter(Relighter):
         self.register_buffer("cosine", slices.cosine(rotation.m).float(), persistent=False)
         shade = torch.ones(len(scene.vertices), dtype=torch.float32) if occlusion is None else occlusion.float()
         self.register_buffer("occlusion", shade, persistent=False)
-        surface = SurfacePoints(scene.points, scene.frames, scene.colours, shade)
-        self.vertices = nn.ModuleList(self._sorted(surface, scene.vertex_region))
+        self.vertices = nn.ModuleList(self._sorted(self._of_vertices()))
         self._pixels = Cache()
+        self._layered = Cache()
         self._tables: ShapeTables[Slices] = ShapeTables(self.slices_of)
         self._operations = operations(compiled)
 
     @property
-    def materials(self) -> Mapping[str, Material]:
+    def materials(self) -> Mapping[str, SurfaceMaterial]:
         """The scene's own materials, by region."""
         return self.scene.materials
 
@@ -174,22 +190,59 @@ class EnvMapRelighter(Relighter):
         """The rotation, and what points there are."""
         return [self, self.rotation, *self.vertices]
 
-    def points(self, view: View, eye: Tensor, materials: Mapping[str, Any]) -> list[RegionPoints]:
-        """The points of every region, vertices or pixels."""
-        if not isinstance(view, GBuffer):
-            return [points for points in self.vertices if isinstance(points, RegionPoints)]
-        found: list[RegionPoints] = self._pixels((view, watched(self)), lambda: self._of_pixels(view))
+    def glow(self, view: View) -> Tensor | None:
+        """What vertices or pixels send out by themselves."""
+        return glow_of(self.scene, view)
+
+    def points(self, view: View, eye: Tensor, materials: Mapping[str, Any]) -> list[list[LayeredPoints]]:
+        """The points of every region, vertices or pixels, by the layers that they have."""
+        parts = [part for part in self.vertices if isinstance(part, RegionPoints)]
+        if isinstance(view, GBuffer):
+            parts = self._pixels((view, watched(self)), lambda: self._of_pixels(view))
+        varying = [None if isinstance(m, Material) else m for m in materials.values()]
+        if not any(varying):
+            return [[_whole(part, m)] for part, m in zip(parts, materials.values(), strict=True)]
+        surface = self._surface_of(view) if isinstance(view, GBuffer) else self._of_vertices()
+        found: list[list[LayeredPoints]] = self._layered(
+            (parts, varying, [len(m.layers) for m in materials.values()]),
+            lambda: [self._by_layers(*pair, surface) for pair in zip(parts, materials.values(), strict=True)],
+        )
         return found
 
-    def _of_pixels(self, pixels: GBuffer) -> list[RegionPoints]:
-        occlusion = pixels.interpolated(self.scene, self.occlusion.cpu())
-        surface = SurfacePoints(pixels.positions, pixels.frames, pixels.colours, occlusion)
-        return [part.to(self.cosine.device) for part in self._sorted(surface, pixels.region)]
+    def _of_vertices(self) -> SurfacePoints:
+        scene = self.scene
+        surface = (scene.points, scene.frames, scene.colours, self.occlusion.cpu(), scene.vertex_region)
+        return SurfacePoints(*surface, *scene.vertex_places)
 
-    def _sorted(self, surface: SurfacePoints, region: Tensor) -> list[RegionPoints]:
+    def _surface_of(self, pixels: GBuffer) -> SurfacePoints:
+        occlusion = pixels.interpolated(self.scene, self.occlusion.cpu())
+        places = (pixels.region, pixels.triangle, pixels.barycentric)
+        return SurfacePoints(pixels.positions, pixels.frames, pixels.colours, occlusion, *places)
+
+    def _of_pixels(self, pixels: GBuffer) -> list[RegionPoints]:
+        return [part.to(self.cosine.device) for part in self._sorted(self._surface_of(pixels))]
+
+    def _sorted(self, surface: SurfacePoints) -> list[RegionPoints]:
         """A surface's points (v,), region by region."""
-        rows = [(region == r).nonzero()[:, 0] for r in range(len(self.scene.regions))]
+        rows = [(surface.region == r).nonzero()[:, 0] for r in range(len(self.scene.regions))]
         return [RegionPoints.of(some, surface, self.rotation.frames) for some in rows]
+
+    def _by_layers(self, part: RegionPoints, material: SurfaceMaterial, surface: SurfacePoints) -> list[LayeredPoints]:
+        """The points of a region, group by group of its material's layers."""
+        if isinstance(material, Material):
+            return [_whole(part, material)]
+        rows = part.rows[: part.count].cpu()
+        values = self.scene.map_values(material.maps, surface.triangle[rows], surface.barycentric[rows])
+        at = material.at(values, surface.colours[rows])
+        found = []
+        for number, layers in enumerate(material.groups):
+            some = (at.group == number).nonzero()[:, 0]
+            if len(some):
+                own = RegionPoints.of(rows[some], surface, self.rotation.frames).to(self.cosine.device)
+                some = torch.cat((some, some[-1:].expand(len(own.rows) - len(some))))  # as the rows are padded
+                shares, colour = (x.to(self.cosine.device) for x in (at.shares[:, some], at.colour[some]))
+                found.append(LayeredPoints(own, layers, shares, colour))
+        return found
 
     @uncompiled
     def light_step(self, environment: Environment) -> LocalLight:
@@ -202,27 +255,45 @@ class EnvMapRelighter(Relighter):
 
     @opaque
     def brdf_step(
-        self, incident: LocalLight, materials: list[Material], points: list[RegionPoints]
+        self, incident: LocalLight, materials: list[SurfaceMaterial], points: list[list[LayeredPoints]]
     ) -> list[RegionExitant]:
-        """What the slices of each region's shape are multiplied by, and what its diffuse part sends out."""
-        return [self._exitant_of(incident, *pair) for pair in zip(points, materials, strict=True)]
+        """What the slices of each region's shapes are multiplied by, and what its diffuse part sends out."""
+        projected = cache(lambda cut: slices.project(incident.local, cut))  # one shape may be a layer of several groups
+        return [
+            self._exitant_of(incident, part, [material.layers[k] for k in part.layers], projected)
+            for parts, material in zip(points, materials, strict=True)
+            for part in parts
+        ]
 
-    def _exitant_of(self, incident: LocalLight, points: RegionPoints, material: Material) -> RegionExitant:
+    def _exitant_of(
+        self,
+        incident: LocalLight,
+        part: LayeredPoints,
+        layers: Sequence[Material],
+        projected: Callable[[Slices], Tensor],
+    ) -> RegionExitant:
+        points = part.points
         lookup = points.lookup
         irradiance = mix(incident.irradiance, lookup.near.T.long(), lookup.weights.T)[:, :3]
-        diffuse = material.diffuse.to(irradiance) / math.pi * points.colour * points.occlusion * irradiance
+        shares = [irradiance.new_ones(1)] * len(layers) if part.shares is None else list(part.shares)
+        albedo = torch.stack(
+            [layer.diffuse.to(irradiance) * share for layer, share in zip(layers, shares, strict=True)]
+        )
+        diffuse = albedo.sum(0) / math.pi * part.colour * points.occlusion * irradiance
         highlights = []
-        for highlight in material.highlights:
-            cut = self._tables(highlight.shape, self.cosine.device)
-            first = slices.first_slice(cut, lookup.twist)
-            weight = highlight.colour.to(diffuse) * points.occlusion
-            highlights.append(Reflected(slices.project(incident.local, cut), cut, first, weight))
+        for layer, share in zip(layers, shares, strict=True):
+            for highlight in layer.highlights:
+                cut = self._tables(highlight.shape, self.cosine.device)
+                first = slices.first_slice(cut, lookup.twist)
+                weight = highlight.colour.to(diffuse) * share * points.occlusion
+                highlights.append(Reflected(projected(cut), cut, first, weight))
         return RegionExitant(diffuse, highlights)
 
-    def view_step(self, exitant: list[RegionExitant], points: list[RegionPoints], eye: Tensor) -> Tensor:
+    def view_step(self, exitant: list[RegionExitant], points: list[list[LayeredPoints]], eye: Tensor) -> Tensor:
         """Each point's slice of its view direction times the local light, between four normals."""
-        out = self.cosine.new_zeros(sum(part.count for part in points), 3)
-        for part, sent in zip(points, exitant, strict=True):
+        parts = [part.points for own in points for part in own]
+        out = self.cosine.new_zeros(sum(part.count for part in parts), 3)
+        for part, sent in zip(parts, exitant, strict=True):
             weights = [highlight.weight for highlight in sent.highlights]
             reflected = [self._reflected(part, highlight, eye) for highlight in sent.highlights]
             out = with_region(out, part.rows[: part.count], sent.diffuse, weights, reflected)
@@ -242,6 +313,11 @@ class EnvMapRelighter(Relighter):
         make = slices.tabulate if self.rank is None else slices.factorise
         kept = self.terms if self.rank is None else self.rank
         return make(shape.evaluate, self.rotation.m, self.views, kept, twists).to(self.cosine.device)
+
+
+def _whole(part: RegionPoints, material: Material) -> LayeredPoints:
+    """Points of a material that is the same everywhere."""
+    return LayeredPoints(part, material.groups[0], None, part.colour)
 
 
 def with_region(

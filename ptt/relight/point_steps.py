@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from itertools import zip_longest
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from ptt.light.environment import Environment
 from ptt.materials.material import Material
+from ptt.materials.varying import SurfaceMaterial, all_shares
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import haar, relight, transfer
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.directions import toward
+
+
+class PointMaterials(NamedTuple):
+    """The materials of r regions in k layers: M (c, r, 1 + o, 1 + i) of each, how much of it (v, c) there is at every
+    point, None for all, and the base colours (v, c)."""
+
+    couplings: list[Tensor]
+    shares: list[Tensor | None]
+    colours: Tensor
 
 
 @in_python
@@ -43,18 +54,33 @@ class PointSteps(nn.Module):
         return relight.light_step(self.t0, lighting, len(self.model.kept))
 
     @opaque
-    def materials(self, materials: Sequence[Material]) -> list[Tensor]:
-        """M (c, 1 + o, 1 + i) of the materials of all regions."""
-        return [self.model.brdf.coupling(material) for material in materials]
+    def materials(self, materials: Sequence[SurfaceMaterial]) -> PointMaterials:
+        """The tables of the materials of all regions."""
+        brdf = self.model.brdf
+        receivers = self.model.receivers
+        layers = [[brdf.coupling(layer) for layer in _parts(material)] for material in materials]
+        none = torch.zeros_like(layers[0][0])
+        couplings = [torch.stack(row, 1) for row in zip_longest(*layers, fillvalue=none)]
+        if len(couplings) == 1:
+            return PointMaterials(couplings, [None], self.model.colours)
+        at = [receivers.layers_at(region, material) for region, material in enumerate(materials)]
+        shares = torch.zeros(len(couplings), len(receivers), 3, dtype=none.dtype)
+        for (first, end), material, found in zip(receivers.spans, materials, at, strict=True):
+            own = found.shares.new_ones(1) if isinstance(material, Material) else all_shares(material, found)
+            shares[: len(own), first:end] = own
+        return PointMaterials(couplings, list(shares.to(none)), torch.cat([found.colour for found in at]).to(none))
 
     @uncompiled
-    def exitant(self, incident: Tensor, materials: Sequence[Material]) -> Tensor:
+    def exitant(self, incident: Tensor, materials: Sequence[SurfaceMaterial]) -> Tensor:
         """The BRDF step: Q (c, o, v), what each point sends out through each outgoing factor."""
         return self.contracted(incident, self.materials(materials))
 
-    def contracted(self, incident: Tensor, couplings: Sequence[Tensor]) -> Tensor:
+    def contracted(self, incident: Tensor, materials: PointMaterials) -> Tensor:
         """The BRDF step, of what `materials` gives."""
-        return exitant(incident, list(couplings), self.model.colours, self.model.receivers.spans)
+        spans = self.model.receivers.spans
+        each = zip(materials.couplings, materials.shares, strict=True)
+        parts = [exitant(incident, m, materials.colours, spans, share) for m, share in each]
+        return torch.stack(parts).sum(0) if len(parts) > 1 else parts[0]
 
     def radiance(self, exitant: Tensor, eye: Tensor) -> Tensor:
         """The view step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
@@ -68,7 +94,15 @@ def radiance(positions: Tensor, frames: Tensor, u_o: Tensor, exitant: Tensor, ey
     return relight.view_step(torch.cat((torch.ones_like(factors[:1]), factors)), exitant)
 
 
-def exitant(incident: Tensor, couplings: list[Tensor], colours: Tensor, spans: list[tuple[int, int]]) -> Tensor:
-    """Q (c, o, v) of U (c, i, v), M (c, 1 + o, 1 + i) of the regions and base colours (v, c)."""
-    q = relight.brdf_step(torch.stack(couplings, 1), incident, spans)
-    return torch.cat((q[:, :1] * colours.T[:, None], q[:, 1:]), dim=1)
+def exitant(
+    incident: Tensor, couplings: Tensor, colours: Tensor, spans: list[tuple[int, int]], share: Tensor | None = None
+) -> Tensor:
+    """Q (c, o, v) of U (c, i, v), M (c, r, 1 + o, 1 + i) of the regions, base colours (v, c), and how much (v, c)."""
+    q = relight.brdf_step(couplings, incident, spans)
+    q = torch.cat((q[:, :1] * colours.T[:, None], q[:, 1:]), dim=1)
+    return q if share is None else q * share.T[:, None]
+
+
+def _parts(material: SurfaceMaterial) -> tuple[Material, ...]:
+    """What is reflected apart: the layers of a material that varies, or all of one that does not."""
+    return (material,) if isinstance(material, Material) else material.layers

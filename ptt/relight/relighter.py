@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from ptt.imaging.gbuffer import GBuffer
 from ptt.light.environment import Environment
-from ptt.materials.material import Material, Mixed, materials_of_regions
+from ptt.materials.varying import SurfaceMaterial, materials_of_regions
 from ptt.models.cache import Cache, watched
 from ptt.ops import native
 from ptt.ops.compiling import in_python, opaque, uncompiled
@@ -37,8 +37,6 @@ class Relighter(nn.Module, ABC):
 
     pixels: ClassVar[bool] = True
     """Whether a view may be a `GBuffer`."""
-    mixed: ClassVar[bool] = False
-    """Whether a region may have two materials."""
     lights: ClassVar[tuple[type, ...]] = (Environment,)
     """What may light it."""
     sources_in_c: ClassVar[tuple[str, ...]]
@@ -53,11 +51,12 @@ class Relighter(nn.Module, ABC):
         self._exitant = Cache()
 
     @uncompiled
-    def forward(self, environment: Environment, materials: Mapping[str, Material], view: View) -> Tensor:
+    def forward(self, environment: Environment, materials: Mapping[str, SurfaceMaterial], view: View) -> Tensor:
         """Radiance (v, 3) of every vertex, or (p, 3) of every pixel of a `GBuffer`, toward the viewer.
 
         environment: the light
-        materials: by region; a region that is left out has the scene's own
+        materials: by region, a `Material`, or one that varies over the surface (`Mixed`, `MetalRough`); a region that
+            is left out has the scene's own
         view: a Camera, an eye (3,), directions (v, 3) from the vertices to the viewer, or a GBuffer
 
         Points that face away have the radiance of the mirrored direction, so that silhouettes interpolate well.
@@ -69,7 +68,7 @@ class Relighter(nn.Module, ABC):
         relit = self._relit_by_kernels if self.compiled else self._relit
         return relit(environment, materials, view)
 
-    def _relit(self, environment: Environment, materials: Mapping[str, Material], view: View) -> Tensor:
+    def _relit(self, environment: Environment, materials: Mapping[str, SurfaceMaterial], view: View) -> Tensor:
         """The three steps."""
         if isinstance(view, GBuffer) and not self.pixels:
             raise ValueError(f"{type(self).__name__} relights vertices: view must be a Camera or a tensor")
@@ -81,7 +80,9 @@ class Relighter(nn.Module, ABC):
         points = self.points(view, eye, chosen)
         light, factor = environment.factored() if isinstance(environment, Environment) else (environment, None)
         radiance = self.view_step(self.exitant(light, chosen, points), points, eye)
-        return radiance if factor is None else radiance * factor.to(radiance)
+        radiance = radiance if factor is None else radiance * factor.to(radiance)
+        glow = self.glow(view)
+        return radiance if glow is None else radiance + glow.to(radiance)
 
     _relit_by_kernels = opaque(_relit)
 
@@ -100,12 +101,16 @@ class Relighter(nn.Module, ABC):
 
     def chosen(self, materials: Mapping[str, Any]) -> dict[str, Any]:
         """The materials of every region, in their order: the given ones, else its own."""
-        return materials_of_regions(self.materials, materials, self.mixed)
+        return materials_of_regions(self.materials, materials)
 
     @property
     @abstractmethod
-    def materials(self) -> Mapping[str, Material | Mixed]:
+    def materials(self) -> Mapping[str, SurfaceMaterial]:
         """The scene's own materials, by region."""
+
+    @abstractmethod
+    def glow(self, view: View) -> Tensor | None:
+        """Radiance (v, 3), or (p, 3) of pixels, that points send out by themselves; None where none do."""
 
     @property
     @abstractmethod

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from torch import Tensor, nn
 
 from ptt.light.environment import Environment
-from ptt.materials import material as mat
 from ptt.materials.material import Material
+from ptt.materials.varying import SurfaceMaterial, same
+from ptt.models.cache import Cache
 from ptt.models.transfer_model import TransferModel
 from ptt.ops.compiling import in_python, uncompiled
 from ptt.relight.cluster_steps import ClusterSteps
 from ptt.relight.point_steps import PointSteps
 from ptt.relight.relighter import Relighter
+from ptt.relight.viewpoint import View
 
 
 @in_python
@@ -44,9 +47,10 @@ class TransferRelighter(Relighter):
         self.model = model
         self.steps: Any = ClusterSteps(model, compiled) if len(model.regions) else PointSteps(model)
         self._sources = list(model.modules())
+        self._at_points = {name: Cache() for name in model.receivers.names}
 
     @property
-    def materials(self) -> Mapping[str, Material]:
+    def materials(self) -> Mapping[str, SurfaceMaterial]:
         """The materials that the scene was traced with, by region."""
         return self.model.receivers.materials
 
@@ -64,10 +68,16 @@ class TransferRelighter(Relighter):
         chosen = super().chosen(materials)
         own = self.model.receivers
         for name, editable in zip(own.names, own.editable, strict=True):
-            given = materials.get(name)
-            if given is not None and not editable and mat.to_config(given) != mat.to_config(own.materials[name]):
+            given = chosen[name]
+            if not isinstance(given, Material):
+                chosen[name] = self._at_points[name](given, partial(own.at_points, name, given))
+            if name in materials and not editable and not same(chosen[name], own.materials[name]):
                 raise ValueError(f"region {name} is fixed: make it editable in the scene to change its material")
         return chosen
+
+    def glow(self, view: View) -> Tensor | None:
+        """What the vertices send out by themselves."""
+        return None if self.model.receivers.glow is None else self.model.get_buffer("glow")
 
     @uncompiled
     def light_step(self, environment: Environment) -> Any:
@@ -75,7 +85,7 @@ class TransferRelighter(Relighter):
         return self.steps.incident(environment)
 
     @uncompiled
-    def brdf_step(self, incident: Any, materials: list[Material], points: None) -> Any:
+    def brdf_step(self, incident: Any, materials: list[SurfaceMaterial], points: None) -> Any:
         """What they send out through each outgoing factor."""
         return self.steps.exitant(incident, materials)
 

@@ -14,8 +14,9 @@ from tqdm import tqdm
 from ptt.imaging.atlas import Atlas
 from ptt.imaging.gbuffer import GBuffer
 from ptt.light.environment import Environment
-from ptt.materials.material import Material, Mixed
+from ptt.materials.material import Material
 from ptt.materials.shapes import Shape, is_mirror_symmetric
+from ptt.materials.varying import SurfaceMaterial
 from ptt.models.cache import Cache, watched
 from ptt.ops import haar, local, rotation
 from ptt.ops.compiling import in_python, opaque, uncompiled
@@ -30,7 +31,7 @@ from ptt.relight.light_step import LightStep
 from ptt.relight.operations import operations
 from ptt.relight.relighter import Relighter
 from ptt.relight.shape_tables import ShapeTables
-from ptt.relight.viewpoint import View, eye_of
+from ptt.relight.viewpoint import View, eye_of, glow_of
 from ptt.scene.scene import Scene
 
 Storage = Literal["float", "16-bit", "8-bit"]
@@ -63,13 +64,13 @@ class PointLookups(NamedTuple):
     barycentric: Tensor
 
 
-class Coat(NamedTuple):
-    """A material with one highlight at most, and how much of it there is: a share as `Mixed` has it, what that leaves
-    of 1 (inverse), or all (None)."""
+class CoatedPoints(NamedTuple):
+    """What points are coated with: the group of layers (p,) int32, those of all regions one after the other; how much
+    of each of its layers (i, p, 3); the base colour (p, 3)."""
 
-    material: Material
-    share: Tensor | None
-    inverse: bool
+    group: Tensor
+    shares: Tensor
+    colour: Tensor
 
 
 class Exitant(NamedTuple):
@@ -96,7 +97,7 @@ class TripleProductRelighter(Relighter):
 
     Differentiable in the map and in the weights of the materials.
 
-    environment may also be what `prerotated` made of one; a region may have two materials (`Mixed`).
+    environment may also be what `prerotated` made of one.
 
     Departures from the paper: normals lie on an octahedral map, 22 x 22 for its 32 x 16, so that poles are no
     exception, and the tangent's angle is that to a normal's own frame; light is rotated on the fly, from three cells a
@@ -109,7 +110,6 @@ class TripleProductRelighter(Relighter):
     """
 
     pixels = True
-    mixed = True
     lights = (Environment, Table)
     sources_in_c = ("maps", "light", "rotation", "near", "shading")
     frames: Tensor
@@ -166,13 +166,13 @@ class TripleProductRelighter(Relighter):
         self._vertices = Cache()
         self._pixels = Cache()
         self._viewed = Cache()
-        self._shared = Cache()
+        self._coated = Cache()
         self._glossy = Cache()
         self._tables: ShapeTables[Table] = ShapeTables(self._table)
         self._operations = operations(compiled)
 
     @property
-    def materials(self) -> Mapping[str, Material | Mixed]:
+    def materials(self) -> Mapping[str, SurfaceMaterial]:
         """The scene's own materials, by region."""
         return self.scene.materials
 
@@ -180,6 +180,10 @@ class TripleProductRelighter(Relighter):
     def positions(self) -> Tensor:
         """The scene's vertices (v, 3), where they are lit."""
         return self.scene.points.to(self.dull)
+
+    def glow(self, view: View) -> Tensor | None:
+        """What vertices or pixels send out by themselves."""
+        return glow_of(self.scene, view)
 
     def sources(self) -> list[nn.Module]:
         """All tables are its own."""
@@ -233,15 +237,15 @@ class TripleProductRelighter(Relighter):
         return table
 
     @opaque
-    def points(self, view: View, eye: Tensor, materials: Mapping[str, Material | Mixed]) -> ShadedPoints:
+    def points(self, view: View, eye: Tensor, materials: Mapping[str, SurfaceMaterial]) -> ShadedPoints:
         """Where the functions of vertices or pixels are found, seen from an eye."""
-        coats = list(map(_coats, materials.values()))
-        at = self._located(view, brushed=not all(c.material.isotropic for own in coats for c in own))
+        own = list(materials.values())
+        at = self._located(view, brushed=not all(layer.isotropic for m in own for layer in m.layers))
         of_views = self._operations.of_views
         viewed: Near = self._viewed((at, eye), lambda: of_views(at.frames, at.positions, eye, self.views))
-        of_regions = [[(coat.share, coat.inverse) for coat in own] for own in coats]
-        shares: Tensor = self._shared((at, of_regions), lambda: self._shares(at, of_regions))
-        return ShadedPoints(at.light, at.seen, viewed, at.region, at.colour, shares)
+        varying = [len(m.layers) if isinstance(m, Material) else m for m in own]
+        coated: CoatedPoints = self._coated((at, varying), lambda: self._coats(at, own))
+        return ShadedPoints(at.light, at.seen, viewed, coated.group, coated.colour, coated.shares)
 
     def _located(self, view: View, brushed: bool) -> PointLookups:
         scene = self.scene
@@ -251,11 +255,8 @@ class TripleProductRelighter(Relighter):
             return pixels
 
         def vertices() -> PointLookups:
-            corner = torch.zeros(len(scene.vertices), dtype=torch.int64)
-            corner[scene.faces.flatten()] = torch.arange(scene.faces.numel())
-            barycentric = nn.functional.one_hot(corner % 3, 3).float()
             surface = (scene.points, scene.frames, scene.vertex_region.int(), scene.colours)
-            return self._of(*surface, corner // 3, barycentric, brushed)
+            return self._of(*surface, *scene.vertex_places, brushed)
 
         located: PointLookups = self._vertices((brushed, watched(self)), vertices)
         return located
@@ -282,25 +283,29 @@ class TripleProductRelighter(Relighter):
         surface = (positions, frames, region, colour, triangle, barycentric)
         return PointLookups(light, seen, *(x.to(device) for x in surface))
 
-    def _shares(self, at: PointLookups, of_regions: list[list[tuple[Tensor | None, bool]]]) -> Tensor:
-        """How much of each of its region's coats is at each point (i, p, 3)."""
-        shares = torch.zeros(max(map(len, of_regions)), len(at.region), 3, dtype=torch.float32)
-        for region, coats in enumerate(of_regions):
-            rows = (at.region == region).nonzero()[:, 0].cpu()
-            for i, (share, inverse) in enumerate(coats):
-                amount = shares.new_ones(())
-                if share is not None:
-                    amount = self.scene.share_at(share, at.triangle.cpu()[rows], at.barycentric.cpu()[rows])[
-                        :, None
-                    ].to(shares)
-                shares[i, rows] = 1 - amount if inverse else amount
-        return shares.to(self.dull.device)
+    def _coats(self, at: PointLookups, materials: list[SurfaceMaterial]) -> CoatedPoints:
+        """What the points are coated with."""
+        region, triangle, barycentric, colour = (x.cpu() for x in (at.region, at.triangle, at.barycentric, at.colour))
+        most = max(len(group) for material in materials for group in material.groups)
+        shares = torch.zeros(most, len(region), 3, dtype=torch.float32)
+        groups = torch.zeros_like(region)
+        colours = colour.clone()
+        first = 0
+        for number, material in enumerate(materials):
+            rows = (region == number).nonzero()[:, 0]
+            values = self.scene.map_values(material.maps, triangle[rows], barycentric[rows])
+            found = material.at(values, colour[rows])
+            groups[rows] = first + found.group.int()
+            shares[: len(found.shares), rows] = found.shares
+            colours[rows] = found.colour
+            first += len(material.groups)
+        return CoatedPoints(*(x.to(self.dull.device) for x in (groups, shares, colours)))
 
     @opaque
-    def brdf_step(self, incident: Table, materials: list[Material | Mixed], points: None) -> Exitant:
-        """The BRDFs of the regions' shapes, one after the other, and their weights."""
-        own = [[coat.material for coat in _coats(material)] for material in materials]
-        layers = list(zip_longest(*own, fillvalue=NO_COAT))
+    def brdf_step(self, incident: Table, materials: list[SurfaceMaterial], points: None) -> Exitant:
+        """The BRDFs of the regions' shapes, one after the other, and their weights, for every group of layers."""
+        groups = [[material.layers[k] for k in group] for material in materials for group in material.groups]
+        layers = list(zip_longest(*groups, fillvalue=NO_COAT))
         device = self.dull.device
         tables = [[None if m.shape is None else self._tables(m.shape, device) for m in layer] for layer in layers]
         distinct = list({id(table): table for layer in tables for table in layer if table is not None}.values())
@@ -319,7 +324,7 @@ class TripleProductRelighter(Relighter):
 
     @uncompiled
     def prepared(
-        self, environment: Environment | Table, materials: Mapping[str, Material | Mixed], view: View
+        self, environment: Environment | Table, materials: Mapping[str, SurfaceMaterial], view: View
     ) -> tuple[Functions, RegionCoats, ShadedPoints]:
         """What `ops.shade.shade` multiplies; the radiance is that function of these."""
         chosen = self.chosen(materials)
@@ -345,14 +350,6 @@ class TripleProductRelighter(Relighter):
 def _joined(tables: list[Table]) -> Table:
     """Tables one after the other."""
     return Table(*(in_large_pages(torch.cat(parts)) for parts in zip(*tables, strict=True)))
-
-
-def _coats(material: Material | Mixed) -> list[Coat]:
-    """What a region of a material is coated with."""
-    if not isinstance(material, Mixed):
-        return [Coat(term, None, False) for term in material.terms]
-    first = [Coat(term, material.share, True) for term in material.first.terms]
-    return first + [Coat(term, material.share, False) for term in material.second.terms]
 
 
 def turned(frames: Tensor, twists: int) -> Tensor:

@@ -9,8 +9,14 @@ from torch.nn.functional import normalize
 from ptt.imaging.gbuffer import GBuffer
 from ptt.ops.compiling import opaque
 from ptt.scene.camera import Camera
+from ptt.scene.scene import Scene
 
 View = Camera | Tensor | GBuffer
+
+
+def glow_of(scene: Scene, view: View) -> Tensor | None:
+    """Radiance that the vertices (v, 3), or the pixels (p, 3) of a GBuffer, send out by themselves; None of none."""
+    return view.glow if isinstance(view, GBuffer) else scene.vertex_glow
 
 
 @opaque

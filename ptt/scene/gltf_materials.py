@@ -1,8 +1,9 @@
-"""The materials of a glTF file: metallic-roughness as GGX, with the base colour's texture.
+"""The materials of a glTF file: metallic-roughness as GGX, with textures, normals and emission.
 
     f = base (1 - metallic) (1 - 0.04) / pi + GGX, whose reflectance is f0 (1 - metallic) + base metallic
 
-f0 is 0.04, or as KHR_materials_ior and KHR_materials_specular say. Base colours are linear, textures sRGB.
+f0 is 0.04, or as KHR_materials_ior and KHR_materials_specular say. Factors are linear; of textures base colour and
+emission are sRGB, the others linear.
 
 Khronos, glTF 2.0 specification; numbers of sections are its own.
 """
@@ -19,8 +20,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ptt.io import gltf
-from ptt.materials.material import Material, ggx, metal_rough
-from ptt.scene.textures import Texture, Wrap, from_image
+from ptt.materials.material import ggx, metal_rough
+from ptt.materials.textures import Texture, Wrap
+from ptt.materials.varying import MetalRough, SurfaceMaterial
+from ptt.scene.bumps import BumpMap
+from ptt.scene.textures import from_image
 
 IOR = 1.5
 WRAPS: dict[int, Wrap] = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
@@ -39,10 +43,14 @@ LOST = {
 
 
 class Look(NamedTuple):
-    """A material, its base colour texture or None, and the coordinates of that: which set, and a matrix (2, 3)."""
+    """How a primitive looks: its material, what else it has over texture coordinates, whether it needs any, and which
+    these are: the number of their set, and a matrix (2, 3)."""
 
-    material: Material | None
+    material: SurfaceMaterial
     texture: Texture | None = None
+    bumps: BumpMap | None = None
+    glow: Texture | None = None
+    textured: bool = False
     uv_set: int = 0
     uv_matrix: NDArray[np.float64] = np.eye(2, 3)
 
@@ -53,42 +61,75 @@ class Materials:
     def __init__(self, file: gltf.File, losses: Counter[str]) -> None:
         self.file = file
         self.losses = losses
-        self._looks: dict[int, Look] = {}
-        self._pixels: dict[int, Tensor] = {}
+        self._looks: dict[tuple[int, bool], Look] = {}
+        self._pixels: dict[tuple[int, bool], Tensor] = {}
 
-    def of(self, index: int | None) -> Look:
-        """The material of a primitive; glTF's default for None (3.7.2.1)."""
+    def of(self, index: int | None, coloured: bool) -> Look:
+        """The material of a primitive; glTF's default for None (3.7.2.1); coloured: says whether its vertices are."""
         if index is None:
-            return Look(ggx(0.0, 1.0, 1.0, 1.0))
-        if index not in self._looks:
-            self._looks[index] = self._look(self.file.item("materials", index))
-        return self._looks[index]
+            return Look(MetalRough() if coloured else ggx(0.0, 1.0, 1.0, 1.0))
+        if (index, coloured) not in self._looks:
+            self._looks[index, coloured] = self._look(self.file.item("materials", index), coloured)
+        return self._looks[index, coloured]
 
-    def _look(self, material: dict[str, Any]) -> Look:
-        pbr = material.get("pbrMetallicRoughness", {})
-        base = torch.tensor(pbr.get("baseColorFactor", (1.0,) * 4)[:3]).clamp(0, 1)
-        metallic = float(pbr.get("metallicFactor", 1.0))
-        roughness = float(pbr.get("roughnessFactor", 1.0))
+    def _look(self, material: dict[str, Any], coloured: bool) -> Look:
         self._count_losses(material)
-        if "metallicRoughnessTexture" in pbr:
-            mean = self._texture(pbr["metallicRoughnessTexture"], srgb=False).pixels.mean((0, 1))
-            roughness *= float(mean[1])
-            metallic *= float(mean[2])
-            self.losses["a metallic-roughness texture, taken as its mean"] += 1
-        reflectance = self._reflectance(material)
-        metallic, roughness = (min(max(x, 0.0), 1.0) for x in (metallic, roughness))
-        look = metal_rough(base, metallic, roughness, reflectance)
-        if "baseColorTexture" not in pbr:
-            return Look(look)
-        info = pbr["baseColorTexture"]
+        pbr = material.get("pbrMetallicRoughness", {})
+        found = {
+            "base colour": pbr.get("baseColorTexture"),
+            "metallic-roughness": pbr.get("metallicRoughnessTexture"),
+            "normal": material.get("normalTexture"),
+            "emissive": material.get("emissiveTexture"),
+        }
+        given = {name: info for name, info in found.items() if info is not None}
+        uv_set, matrix = _coordinates(next(iter(given.values()), {}))
+        for name, info in list(given.items()):
+            other, turned = _coordinates(info)
+            if other != uv_set or not np.allclose(turned, matrix):
+                self.losses[
+                    f"the {name} texture, whose coordinates are not those of the {next(iter(given))} texture"
+                ] += 1
+                del given[name]
+        texture = self._texture(given["base colour"], srgb=True) if "base colour" in given else None
+        values = self._metal_rough(pbr, given.get("metallic-roughness"))
+        values["reflectance"] = self._reflectance(material)
+        plain = "roughness_map" not in values and (values["metallic"] == 0 or not (coloured or texture))
+        own = metal_rough(**values) if plain else MetalRough(**values)
+        bumps = self._bumps(given["normal"]) if "normal" in given else None
+        return Look(own, texture, bumps, self._glow(material, given.get("emissive")), bool(given), uv_set, matrix)
+
+    def _metal_rough(self, pbr: dict[str, Any], info: dict[str, Any] | None) -> dict[str, Any]:
+        """The arguments of a metallic-roughness material (3.9.2): roughness is green, metallic blue."""
+        values: dict[str, Any] = {
+            "base": torch.tensor(pbr.get("baseColorFactor", (1.0,) * 4)[:3]).clamp(0, 1),
+            "metallic": min(max(float(pbr.get("metallicFactor", 1.0)), 0.0), 1.0),
+            "roughness": min(max(float(pbr.get("roughnessFactor", 1.0)), 0.0), 1.0),
+        }
+        if info is not None:
+            texture = self._texture(info, srgb=False)
+            for name, channel in (("roughness_map", 1), ("metallic_map", 2)):
+                values[name] = Texture(texture.pixels[..., channel : channel + 1].contiguous(), texture.wrap)
+        return values
+
+    def _bumps(self, info: dict[str, Any]) -> BumpMap:
+        """The normals of a normalTextureInfo (3.9.3)."""
+        texture = self._texture(info, srgb=False)
+        scale = float(info.get("scale", 1.0))
+        normals = 2 * texture.pixels - 1
+        return BumpMap(normals * normals.new_tensor((scale, scale, 1.0)), texture.wrap)
+
+    def _glow(self, material: dict[str, Any], info: dict[str, Any] | None) -> Texture | None:
+        """What is emitted, by its texture or alike everywhere; None for nothing (3.9.4)."""
+        factor = torch.tensor(material.get("emissiveFactor", (0.0, 0.0, 0.0)), dtype=torch.float32)
+        strength = material.get("extensions", {}).get("KHR_materials_emissive_strength", {})
+        factor = factor * float(strength.get("emissiveStrength", 1.0))
+        if not bool((factor > 0).any()):
+            return None
+        self.losses["the light that glowing surfaces cast on others (they do glow)"] += 1
+        if info is None:
+            return Texture(factor.expand(1, 1, 3))
         texture = self._texture(info, srgb=True)
-        if metallic > 0:  # the texture multiplies diffuse parts alone: of a metal's highlight its mean does
-            seen = metal_rough(base * texture.pixels.mean((0, 1)), metallic, roughness, reflectance)
-            first, *more = seen.highlights
-            look = Material(look.diffuse, first.colour, first.shape, *more)
-            self.losses["a metal's texture, taken as its mean in highlights"] += 1
-        transform = info.get("extensions", {}).get("KHR_texture_transform", {})
-        return Look(look, texture, transform.get("texCoord", info.get("texCoord", 0)), _uv_matrix(transform))
+        return Texture(texture.pixels * factor, texture.wrap)
 
     def _reflectance(self, material: dict[str, Any]) -> Tensor:
         """What a dielectric reflects straight on (3,), by its index of refraction and specular colour."""
@@ -108,10 +149,6 @@ class Materials:
                 self.losses[f"{LOST[name]} ({name})"] += 1
             elif name not in gltf.SUPPORTED:
                 self.losses[name] += 1
-        if "normalTexture" in material:
-            self.losses["a normal texture (give it to GBuffer.of as a BumpMap)"] += 1
-        if "emissiveTexture" in material or any(x > 0 for x in material.get("emissiveFactor", ())):
-            self.losses["emission"] += 1
         if material.get("alphaMode", "OPAQUE") != "OPAQUE":
             self.losses[f"transparency ({material['alphaMode']})"] += 1
         if material.get("doubleSided", False):
@@ -124,11 +161,17 @@ class Materials:
         source = webp.get("source", texture.get("source"))
         if source is None:
             raise ValueError(f"{self.file.path}: textures[{info['index']}] has no image that is supported")
-        if source not in self._pixels:
-            self._pixels[source] = from_image(gltf.image(self.file, source), srgb)
+        if (source, srgb) not in self._pixels:
+            self._pixels[source, srgb] = from_image(gltf.image(self.file, source), srgb)
         sampler = self.file.item("samplers", texture["sampler"]) if "sampler" in texture else {}
         wrap = WRAPS[sampler.get("wrapS", 10497)], WRAPS[sampler.get("wrapT", 10497)]
-        return Texture(self._pixels[source], wrap)
+        return Texture(self._pixels[source, srgb], wrap)
+
+
+def _coordinates(info: dict[str, Any]) -> tuple[int, NDArray[np.float64]]:
+    """The set of texture coordinates of a textureInfo, and the matrix (2, 3) that they are taken through."""
+    transform = info.get("extensions", {}).get("KHR_texture_transform", {})
+    return transform.get("texCoord", info.get("texCoord", 0)), _uv_matrix(transform)
 
 
 def _uv_matrix(transform: dict[str, Any]) -> NDArray[np.float64]:

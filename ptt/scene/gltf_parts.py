@@ -11,6 +11,7 @@ from __future__ import annotations
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -133,7 +134,7 @@ class _Reader:
         if part.normals is not None:
             turned = np.linalg.pinv(blended[:, :3, :3]).swapaxes(1, 2)
             normals = torch.from_numpy(np.einsum("vab,vb->va", turned, part.normals.double().numpy()))
-        return Part(part.name, vertices, part.faces, normals, part.uv, part.colours, part.texture, part.material)
+        return replace(part, vertices=vertices, normals=normals)
 
     def _primitive(self, node: dict[str, Any], primitive: dict[str, Any]) -> Part | None:
         """A primitive in its own space; None where it has no triangles."""
@@ -146,7 +147,7 @@ class _Reader:
         weights = node.get("weights", mesh.get("weights", []))
         vertices = self._morphed("POSITION", primitive, weights)
         faces = self._faces(primitive, mode, len(vertices))
-        look = self.materials.of(primitive.get("material"))
+        look = self.materials.of(primitive.get("material"), "COLOR_0" in attributes)
         colours = None
         if "COLOR_0" in attributes:
             colours = torch.from_numpy(gltf.array(self.file, attributes["COLOR_0"])[:, :3].astype(np.float32))
@@ -159,6 +160,8 @@ class _Reader:
             colours=colours,
             texture=look.texture,
             material=look.material,
+            bumps=look.bumps,
+            glow=look.glow,
         )
 
     def _morphed(self, name: str, primitive: dict[str, Any], weights: Sequence[float]) -> NDArray[np.float64]:
@@ -185,10 +188,10 @@ class _Reader:
         return faces
 
     def _uv(self, attributes: dict[str, int], look: Look) -> Tensor | None:
-        """Texture coordinates (v, 2), v up, those of the base colour."""
+        """Texture coordinates (v, 2), v up, those of its textures."""
         name = f"TEXCOORD_{look.uv_set}"
         if name not in attributes:
-            if look.texture is not None:
+            if look.textured:
                 raise ValueError(f"{self.file.path}: a texture asks for {name}, which its mesh does not have")
             return None
         uv = gltf.array(self.file, attributes[name]).astype(np.float64) @ look.uv_matrix[:, :2].T + look.uv_matrix[:, 2]

@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from ptt.materials import material as mat
-from ptt.materials.material import Material, blinn_phong
+from ptt.materials.material import blinn_phong
+from ptt.materials.textures import Texture
+from ptt.materials.varying import SurfaceMaterial, same
 from ptt.ops import mesh
-from ptt.scene.textures import Texture
+from ptt.scene.bumps import BumpMap
 
 FAR = 1000.0  # sizes from the origin, where float32 rounds positions to 6e-5 of the size
 
@@ -28,8 +29,10 @@ class Part:
     uv: Tensor | None = None
     colours: Tensor | None = None
     texture: Texture | Tensor | None = None
-    material: Material | None = None
+    material: SurfaceMaterial | None = None
     editable: bool = True
+    bumps: BumpMap | None = None
+    glow: Texture | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,13 +52,13 @@ class PreparedPart:
     tints: Tensor | None
     uv: Tensor | None
     texture: Texture | None
-    material: Material
+    material: SurfaceMaterial
     dropped: int
     renewed: int
     inward: bool
 
 
-def default_material(coloured: bool = False) -> Material:
+def default_material(coloured: bool = False) -> SurfaceMaterial:
     """The material of a region that has none: a little gloss over grey, or over its own base colour."""
     return blinn_phong(0.96 if coloured else 0.6, 0.04, 20.0)
 
@@ -153,7 +156,10 @@ def _normals(given: Tensor | None, vertices: Tensor, faces: Tensor) -> tuple[Ten
 def _checked_texture(texture: Texture | Tensor, uv: Tensor | None) -> Texture:
     if uv is None:
         raise ValueError("texture needs uv (v, 2), got None")
-    return texture if isinstance(texture, Texture) else Texture(texture)
+    texture = texture if isinstance(texture, Texture) else Texture(texture)
+    if texture.pixels.shape[2] != 3:
+        raise ValueError(f"texture must be linear RGB (h, w, 3), got {tuple(texture.pixels.shape)}")
+    return texture
 
 
 def _rows(name: str, value: Tensor, shape: tuple[int, int], finite: bool = True) -> Tensor:
@@ -174,7 +180,13 @@ def join(name: str, parts: Sequence[Part]) -> Part:
         ValueError: their materials or textures differ.
     """
     first = parts[0]
-    if not all(_same_texture(p.texture, first.texture) and _same_material(p.material, first.material) for p in parts):
+    if not all(
+        _same_texture(p.texture, first.texture)
+        and _same_texture(p.glow, first.glow)
+        and p.bumps is first.bumps
+        and _same_material(p.material, first.material)
+        for p in parts
+    ):
         raise ValueError("parts must share one material and texture; they differ: give the region a material")
     counts = torch.tensor([len(p.vertices) for p in parts])
     starts = (counts.cumsum(0) - counts).tolist()
@@ -216,7 +228,5 @@ def _same_texture(a: Texture | Tensor | None, b: Texture | Tensor | None) -> boo
     return a is b
 
 
-def _same_material(a: Material | None, b: Material | None) -> bool:
-    if a is None or b is None:
-        return a is b
-    return mat.to_config(a) == mat.to_config(b)
+def _same_material(a: SurfaceMaterial | None, b: SurfaceMaterial | None) -> bool:
+    return a is b if a is None or b is None else same(a, b)

@@ -16,9 +16,10 @@ from torch import Tensor
 
 from ptt.io import ply
 from ptt.io.colour import from_srgb
+from ptt.materials.textures import Texture
 from ptt.ops import polygons
 from ptt.scene.parts import Part
-from ptt.scene.textures import Texture, read_texture
+from ptt.scene.textures import read_texture
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

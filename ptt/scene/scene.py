@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
@@ -12,13 +12,14 @@ import torch
 from torch import Tensor
 
 from ptt.light.environment import Environment
-from ptt.materials.material import Material
+from ptt.materials.textures import Texture
+from ptt.materials.varying import Map, SurfaceMaterial, describe
 from ptt.ops import mesh
 from ptt.ops.octahedral import mix
 from ptt.ops.raycast import Surface
+from ptt.scene.bumps import BumpMap
 from ptt.scene.camera import Camera
 from ptt.scene.parts import Part, near_origin, prepare
-from ptt.scene.textures import Texture
 
 INSET = 0.01  # share of the way from a vertex to the middle of its triangles at which it is lit (`Scene.points`)
 
@@ -29,11 +30,15 @@ class Region:
 
     editable: says whether the material may change after precomputation
     texture: linear base colour over uv, or None
+    bumps: normals over uv, or None; they are seen per pixel
+    glow: radiance over uv that it sends out by itself, or None
     """
 
     name: str
     editable: bool = True
     texture: Texture | None = None
+    bumps: BumpMap | None = None
+    glow: Texture | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +68,7 @@ class Scene:
     colours: Tensor
     uv: Tensor | None
     regions: tuple[Region, ...]
-    materials: dict[str, Material]
+    materials: dict[str, SurfaceMaterial]
     camera: Camera
     environment: Environment | None = None
     tints: Tensor | None = None
@@ -82,8 +87,10 @@ class Scene:
         counts = torch.bincount(self.face_region, minlength=len(self.regions)).tolist()
         lines = [f"Scene of {len(self.vertices)} vertices, {len(self.faces)} triangles, radius {radius:.3g}"]
         for region, count in zip(self.regions, counts, strict=True):
-            kind = ", ".join(h.shape.model for h in self.materials[region.name].highlights) or "lambert"
-            notes = [kind, *["textured"] * (region.texture is not None), *["fixed"] * (not region.editable)]
+            kind = describe(self.materials[region.name])
+            own = {"textured": region.texture, "bumpy": region.bumps, "glowing": region.glow}
+            notes = [kind, *(word for word, given in own.items() if given is not None)]
+            notes += ["fixed"] * (not region.editable)
             lines.append(f"  {region.name}: {count} triangles, {', '.join(notes)}")
         return "\n".join(lines)
 
@@ -98,7 +105,7 @@ class Scene:
         uv: Tensor | None = None,
         colours: Tensor | None = None,
         texture: Texture | Tensor | None = None,
-        material: Material | None = None,
+        material: SurfaceMaterial | None = None,
     ) -> Scene:
         """A scene of one region.
 
@@ -151,7 +158,9 @@ class Scene:
             vertex_region=torch.repeat_interleave(torch.arange(len(parts)), counts),
             colours=torch.cat([r.colours for r in ready]),
             uv=None if all(r.uv is None for r in ready) else torch.cat(uv),
-            regions=tuple(Region(p.name, p.editable, r.texture) for p, r in zip(parts, ready, strict=True)),
+            regions=tuple(
+                Region(p.name, p.editable, r.texture, p.bumps, p.glow) for p, r in zip(parts, ready, strict=True)
+            ),
             materials={p.name: r.material for p, r in zip(parts, ready, strict=True)},
             environment=environment,
             camera=camera or Camera.framing(*_bounds(vertices)),
@@ -219,21 +228,79 @@ class Scene:
             warnings.warn(f"{repaired} of {len(frames)} frames between vertices that disagree repaired", stacklevel=3)
         return frames
 
-    def share_at(self, share: Tensor, triangle: Tensor, barycentric: Tensor) -> Tensor:
-        """The share (n,) of a second material (`Mixed`) inside triangles (n,), at barycentric (n, 3).
+    @cached_property
+    def vertex_places(self) -> tuple[Tensor, Tensor]:
+        """A triangle (v,) that each vertex belongs to, and barycentric (v, 3), all of the vertex."""
+        corner = torch.zeros(len(self.vertices), dtype=torch.int64)
+        corner[self.faces.flatten()] = torch.arange(self.faces.numel())
+        return corner // 3, torch.nn.functional.one_hot(corner % 3, 3).float()
 
-        share: a texture (h, w) by the scene's uv, or values (v,) at the vertices
+    def bent_frames(self, triangle: Tensor, barycentric: Tensor, bumps: Mapping[str, BumpMap] | None = None) -> Tensor:
+        """`frames_at`, turned by the bump maps of the regions: the given ones by name, else their own.
 
         Raises:
-            ValueError: a texture for a scene without uv, or a share of another number of vertices.
+            ValueError: a region is unknown, or the scene has no uv.
         """
-        if share.ndim == 2:
+        return self.bent(self.frames_at(triangle, barycentric), triangle, barycentric, bumps)
+
+    def bent(
+        self, frames: Tensor, triangle: Tensor, barycentric: Tensor, bumps: Mapping[str, BumpMap] | None = None
+    ) -> Tensor:
+        """Frames (n, 3, 3) inside triangles (n,), at barycentric (n, 3), turned as by `bent_frames`."""
+        chosen = {region.name: region.bumps for region in self.regions if region.bumps is not None} | dict(bumps or {})
+        for name, bump in chosen.items():
             if self.uv is None:
-                raise ValueError("share (h, w) needs a scene with uv: give (v,), of the vertices, instead")
-            return mesh.sample_texture(share[..., None], self.interpolated(self.uv, triangle, barycentric))[:, 0]
-        if len(share) != len(self.vertices):
-            raise ValueError(f"share must have {len(self.vertices)} values, the scene's vertices, got {len(share)}")
-        return self.interpolated(share, triangle, barycentric)
+                raise ValueError(
+                    f"the bump map of {name!r} needs uv: give its part uv (v, 2), or a mesh file that has them"
+                )
+            rows = torch.nonzero(self.face_region[triangle] == self.region_index(name))[:, 0]
+            at = self.interpolated(self.uv, triangle[rows], barycentric[rows])
+            turned = bump.bend(frames[rows], at, self._mirrored[triangle[rows]])
+            frames = frames.index_copy(0, rows, turned)
+        return frames
+
+    @cached_property
+    def _mirrored(self) -> Tensor:
+        assert self.uv is not None
+        return mesh.mirrored(self.uv, self.faces)
+
+    @cached_property
+    def vertex_glow(self) -> Tensor | None:
+        """`glow` (v, 3) of the vertices."""
+        return self.glow(*self.vertex_places)
+
+    def glow(self, triangle: Tensor, barycentric: Tensor) -> Tensor | None:
+        """Radiance (n, 3) that points inside triangles (n,) send out by themselves; None of a scene that has none."""
+        glowing = [(index, region.glow) for index, region in enumerate(self.regions) if region.glow is not None]
+        if not glowing:
+            return None
+        out = torch.zeros(len(triangle), 3, dtype=torch.float32)
+        for index, texture in glowing:
+            rows = torch.nonzero(self.face_region[triangle] == index)[:, 0]
+            uv = self.vertices.new_zeros(len(self.vertices), 2) if self.uv is None else self.uv
+            out[rows] = texture.at(self.interpolated(uv, triangle[rows], barycentric[rows]))
+        return out
+
+    def map_values(self, maps: Sequence[Map | None], triangle: Tensor, barycentric: Tensor) -> Tensor:
+        """Values (m, n) of a material's maps inside triangles (n,), at barycentric (n, 3); 1 for None.
+
+        Raises:
+            ValueError: a texture for a scene without uv, or values of another number of vertices.
+        """
+        values = [self._map_value(given, triangle, barycentric) for given in maps]
+        return torch.stack(values) if values else torch.zeros(0, len(triangle), dtype=torch.float32)
+
+    def _map_value(self, given: Map | None, triangle: Tensor, barycentric: Tensor) -> Tensor:
+        if given is None:
+            return torch.ones(len(triangle), dtype=torch.float32)
+        if isinstance(given, Tensor) and given.ndim == 1:
+            if len(given) != len(self.vertices):
+                raise ValueError(f"a map must have {len(self.vertices)} values, the scene's vertices, got {len(given)}")
+            return self.interpolated(given, triangle, barycentric)
+        if self.uv is None:
+            raise ValueError("a map (h, w) needs a scene with uv: give (v,), of the vertices, instead")
+        texture = given if isinstance(given, Texture) else Texture(given[..., None])
+        return texture.at(self.interpolated(self.uv, triangle, barycentric))[:, 0]
 
     def albedo(self, triangle: Tensor, barycentric: Tensor) -> Tensor:
         """Linear base colour (n, 3) at hits: triangle (n,) index into faces, barycentric (n, 3).

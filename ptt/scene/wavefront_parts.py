@@ -19,9 +19,10 @@ from torch import Tensor
 from ptt.io import wavefront
 from ptt.io.colour import from_srgb
 from ptt.materials.material import Material, blinn_phong, metal_rough
+from ptt.materials.textures import Texture
 from ptt.ops import mesh, polygons
 from ptt.scene.parts import Part
-from ptt.scene.textures import Texture, read_texture
+from ptt.scene.textures import read_texture
 
 EXPONENTS = (1.0, 200.0)  # the range of `BRDFSpace.blinn_phong`, in which exponents from files are kept
 OPTIONS = {"-blendu": 1, "-blendv": 1, "-bm": 1, "-boost": 1, "-cc": 1, "-clamp": 1, "-imfchan": 1, "-mm": 2,

@@ -21,8 +21,10 @@ import torch
 from torch import Tensor
 
 from ptt.materials.material import Material
+from ptt.materials.varying import SurfaceMaterial, all_shares
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.indirect import COARSE, ORDER, blurs, responses
+from ptt.models.receivers import Receivers
 from ptt.models.slots import OWN, Slot, slots_of
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.ops import haar, harmonics, lobes, octahedral, transfer
@@ -50,56 +52,104 @@ class RegionHits(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class OwnLayers:
+    """A region's own material that varies over its n points, whole: the last three slots of the region, one a channel.
+
+    diffuse (n, 3): albedo over pi
+    shares (n, 3, k): how much of the highlight of each of its layers; these follow the functions of the other slots
+    """
+
+    diffuse: Tensor
+    shares: Tensor
+
+    @classmethod
+    def of(cls, region: int, material: SurfaceMaterial, receivers: Receivers) -> OwnLayers:
+        """Those of a region, by its number."""
+        at = receivers.layers_at(region, material)
+        shares = all_shares(material, at)
+        albedo = torch.stack([layer.diffuse for layer in material.layers])[:, None] * shares
+        colours = torch.stack([layer.specular for layer in material.layers])[:, None] * shares
+        return cls(albedo.sum(0) * at.colour / math.pi, colours.permute(1, 2, 0).contiguous())
+
+
+@dataclass(frozen=True, eq=False)
 class Reflector:
     """The reflection of one region: the functions of its slots in terms of the BRDF tensor, p of them.
 
-    slots: numbers of the slots
-    channels (p,): colour channel of each, -1 for all
-    diffuse (p,): 1 / pi, or 0 for a specular function
+    slots, first: numbers of the slots, and of the region's first point
+    channels (q,): colour channel of each slot, -1 for all
+    diffuse (q,): 1 / pi, or 0 for a specular function
     cores (p, o, i): responses to the tensor's factors
     peaks (p, k, turns, tilts): reflectances of the lobes (`lobes.lookup`)
+    own: the region's own material where it varies, else None, and a slot is a function
     """
 
     slots: list[int]
+    first: int
     channels: Tensor
     diffuse: Tensor
     cores: Tensor
     peaks: Tensor
+    own: OwnLayers | None
 
     @classmethod
     def of(cls, region: int, slots: Sequence[Slot], raw: RawTransfer, brdf: TensorBRDF, basis: BRDFBasis) -> Reflector:
         """The reflector of a region, by its number."""
         own = [k for k, slot in enumerate(slots) if slot.region == region]
         material = raw.receivers.materials[raw.receivers.names[region]]
+        varies = not isinstance(material, Material)
         mixtures = []
         for slot in (slots[k] for k in own):
-            if slot.function == OWN:
+            if slot.function == OWN and isinstance(material, Material):
                 mixtures.append(_own(brdf, material, slot.channel).to(brdf.core))
             elif slot.function > 0:
                 mixtures.append(basis.mixture[:, slot.function - 1])
-            else:
+            elif slot.function == 0:
                 mixtures.append(brdf.core.new_zeros(len(brdf.space.samples)))
+        if varies:
+            mixtures += [_of_layer(brdf, layer) for layer in material.layers]
         mixture = torch.stack(mixtures)
         return cls(
             own,
+            raw.receivers.spans[region][0],
             torch.tensor([slots[k].channel for k in own]),
             brdf.core.new_tensor([1 / math.pi if slots[k].function == 0 else 0.0 for k in own]),
             torch.einsum("ph,hj,joi->poi", mixture, brdf.u_h, brdf.core),
             torch.einsum("ph,hkut->pkut", mixture, brdf.peaks),
+            OwnLayers.of(region, material, raw.receivers) if varies else None,
         )
 
-    def shade(self, colours: Tensor) -> Tensor:
-        """The base colour over pi (m, p) of each function at points of colours (m, 3); 0 for specular functions."""
-        return self.diffuse * torch.where(self.channels >= 0, colours[:, self.channels.clamp(min=0)], colours[:, :1])
+    def shade(self, at: Tensor, colours: Tensor) -> Tensor:
+        """The albedo over pi (m, q) of each slot at points (m,) of base colours (m, 3); 0 for specular functions."""
+        shade = self.diffuse * torch.where(self.channels >= 0, colours[:, self.channels.clamp(min=0)], colours[:, :1])
+        if self.own is None:
+            return shade
+        return torch.cat((shade[:, :-3], self.own.diffuse.index_select(0, at - self.first)), 1)
 
-    def factors(self, wo: Tensor, brdf: TensorBRDF) -> Tensor:
-        """Responses (m, p, i) of the specular functions to the incident factors, towards wo (m, 3)."""
-        return torch.einsum("om,poi->mpi", brdf.outgoing(wo), self.cores)
+    def factors(self, at: Tensor, wo: Tensor, brdf: TensorBRDF) -> Tensor:
+        """Responses (m, q, i) of the specular parts of points (m,) to the incident factors, towards wo (m, 3)."""
+        return self._of_slots(at, torch.einsum("om,poi->mpi", brdf.outgoing(wo), self.cores))
 
-    def reflectances(self, wo: Tensor) -> Tensor:
-        """Reflectances (m, p, k) of the lobes of the specular functions, towards wo (m, 3)."""
+    def reflectances(self, at: Tensor, wo: Tensor) -> Tensor:
+        """Reflectances (m, q, k) of the lobes of the specular parts of points (m,), towards wo (m, 3)."""
         p, k = self.peaks.shape[:2]
-        return lobes.lookup(self.peaks.flatten(0, 1), wo).reshape(p, k, len(wo)).permute(2, 0, 1)
+        each = lobes.lookup(self.peaks.flatten(0, 1), wo).reshape(p, k, len(wo)).permute(2, 0, 1)
+        return self._of_slots(at, each)
+
+    def _of_slots(self, at: Tensor, values: Tensor) -> Tensor:
+        """Values (m, q, ...) of the slots at points (m,) from those of the functions (m, p, ...)."""
+        if self.own is None:
+            return values
+        shares = self.own.shares.index_select(0, at - self.first)
+        count = values.shape[1] - shares.shape[2]
+        return torch.cat((values[:, :count], shares @ values[:, count:]), 1)
+
+
+def _of_layer(brdf: TensorBRDF, layer: Material) -> Tensor:
+    """Coordinates (h,) of the highlight of a layer, 0 where it has none."""
+    if layer.shape is None:
+        return brdf.core.new_zeros(len(brdf.space.samples))
+    return brdf.space.coordinates(layer.shape).to(brdf.core)
 
 
 def _own(brdf: TensorBRDF, material: Material, channel: int) -> Tensor:
@@ -165,7 +215,7 @@ class Bounces:
                 at = hits.at.flatten()
                 wo = hits.wo.flatten(0, 1)
                 g, light = self._specular(reflector, at, wo)
-                diffuse = reflector.shade(self.raw.receivers.colours[at])[..., None]
+                diffuse = reflector.shade(at, self.raw.receivers.colours[at])[..., None]
                 g = torch.cat((diffuse, g), 2) * hits.weight.flatten()[:, None, None]
                 to_factors, to_lobes = g.tensor_split((self.t0.shape[1],), 2)
                 sent = torch.baddbmm(to_lobes @ light, to_factors, self.t0.index_select(0, at))
@@ -183,8 +233,8 @@ class Bounces:
         light = light.unflatten(0, cell.shape)
         cell = octahedral.HemiOctahedral(CUTS).cell(axes)
         through = self.cuts[at[:, None], cell, each].float() / 255
-        of_lobes = reflector.reflectances(wo) * through[:, None]
-        return torch.cat((reflector.factors(wo, self.brdf), of_lobes), 2), light
+        of_lobes = reflector.reflectances(at, wo) * through[:, None]
+        return torch.cat((reflector.factors(at, wo, self.brdf), of_lobes), 2), light
 
     def second_bounce(self, rows: Tensor, t1: Tensor) -> Tensor:
         """T2 (b, q', q, l) of points (b,), by their numbers, from T1 (v, s, q, l) of all; q' reflects last."""
@@ -204,9 +254,9 @@ class Bounces:
 
     def _to_harmonics(self, reflector: Reflector, at: Tensor, wo: Tensor) -> Tensor:
         """Light (m, p, s) that each function sends towards wo (m, 3) of light that arrives in each harmonic."""
-        diffuse = reflector.shade(self.raw.receivers.colours[at])[..., None]
-        out = torch.cat((diffuse, reflector.factors(wo, self.brdf)), 2) @ self.response.T
-        return out + torch.einsum("mpk,mks->mps", reflector.reflectances(wo), self.lobe_harmonics(wo))
+        diffuse = reflector.shade(at, self.raw.receivers.colours[at])[..., None]
+        out = torch.cat((diffuse, reflector.factors(at, wo, self.brdf)), 2) @ self.response.T
+        return out + torch.einsum("mpk,mks->mps", reflector.reflectances(at, wo), self.lobe_harmonics(wo))
 
     def lobe_harmonics(self, wo: Tensor) -> Tensor:
         """Means (m, k, s) of the harmonics Z_s under each lobe for wo (m, 3)."""

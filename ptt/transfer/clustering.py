@@ -114,8 +114,8 @@ class _RegionTransfer:
         self.transfer = transfer
         self.first = first
         self.end = end
-        highlights = own.materials[own.names[region]].highlights
-        self.glossy = bool(transfer.brdf.angles) and (own.editable[region] or bool(highlights))
+        shines = any(layer.highlights for layer in own.materials[own.names[region]].layers)
+        self.glossy = bool(transfer.brdf.angles) and (own.editable[region] or shines)
         one = transfer.indirect.one[first:end]
         two = transfer.indirect.two[first:end]
         lit = one.abs().amax((0, 2, 3)) > 0 if one.numel() else torch.zeros(0)

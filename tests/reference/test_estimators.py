@@ -13,12 +13,15 @@ from torch import Tensor
 import ptt
 from ptt import reference
 from ptt.light.environment import Environment
-from ptt.materials.material import Material, blinn_phong, cook_torrance, lambert
+from ptt.materials.material import Material, blinn_phong, cook_torrance, lambert, metal_rough
 from ptt.materials.shapes import Named
+from ptt.materials.textures import Texture
+from ptt.materials.varying import MetalRough, SurfaceMaterial
 from ptt.ops import mesh
 from ptt.ops.sphere import LatLong
 from ptt.reference import Estimate, Points, along_rays, at_vertices, image, path_tracer, radiance
 from ptt.reference.sampling import Mixture
+from ptt.scene.bumps import BumpMap
 from ptt.scene.camera import Camera
 from ptt.scene.parts import Part
 from ptt.scene.scene import Scene
@@ -42,7 +45,7 @@ def floor_point(x: float = 0.0, z: float = 0.0, n: int = 1) -> Points:
     return Points(position, UP.expand(n, 3, 3), torch.zeros(n, dtype=torch.long), torch.ones(n, 3))
 
 
-def same(materials: Material, scene: Scene) -> dict[str, Material]:
+def same(materials: SurfaceMaterial, scene: Scene) -> dict[str, SurfaceMaterial]:
     return {region.name: materials for region in scene.regions}
 
 
@@ -433,6 +436,56 @@ def test_tangents_reach_the_material(axis: int, expected: float) -> None:
     for estimate in (at_hits, given):
         assert (estimate.standard_error < 0.01).all()
         assert agrees(estimate, expected, floor=1e-4)
+
+
+def test_a_glowing_box() -> None:
+    """Inside of a closed box that glows with 2 and reflects 0.5, without other light: 2, 2 + 1, 2 + 1 + 0.5."""
+    vertices, faces = mesh.box_mesh()
+    glow = Texture(torch.full((1, 1, 3), 2.0))
+    part = Part("box", vertices, faces.flip(1), material=lambert(0.5), glow=glow)
+    scene = Scene.from_parts([part])
+    inside = torch.zeros(8, 3)
+    around = torch.nn.functional.normalize(torch.randn(8, 3, generator=torch.Generator().manual_seed(0)), dim=1)
+    for bounces, expected in enumerate((2.0, 3.0, 3.5)):
+        estimate = along_rays(
+            scene, Environment.constant(0.0), scene.materials, inside, around, bounces=bounces, samples=64
+        )
+        torch.testing.assert_close(estimate.mean, torch.full((8, 3), expected).double(), rtol=1e-4, atol=0)
+
+
+def test_bumps_bend_what_is_hit() -> None:
+    """A white floor whose normals all lean by t has (1 + cos t) / 2 of a light from everywhere: it hides the rest."""
+    vertices, faces = mesh.plane_mesh(2000.0)
+    leaned = BumpMap(torch.tensor([math.sin(0.5), 0.0, math.cos(0.5)]).expand(2, 2, 3))
+    part = Part("floor", vertices, faces, uv=vertices[:, [0, 2]], material=lambert(1.0), bumps=leaned)
+    scene = Scene.from_parts([part])
+    origins = torch.tensor([[0.3, 1.0, 0.1]]).expand(8, 3)
+    down = torch.tensor([[0.0, -1.0, 0.0]]).expand(8, 3)
+    light = Environment.constant()
+    estimate = over_points(along_rays(scene, light, scene.materials, origins, down, samples=4096))
+    assert agrees(estimate, (1 + math.cos(0.5)) / 2, floor=1e-3)
+
+
+def test_maps_are_looked_up_at_points_and_hits() -> None:
+    """A map of one value is the uniform material, where light is seen by way of it, and at given points."""
+    vertices, faces = mesh.plane_mesh(2.0)
+    texture = Texture(torch.full((2, 2, 1), 0.4))
+    scene = Scene.from_mesh(vertices, faces, uv=vertices[:, [0, 2]])
+    light = Environment.sun_sky()
+    origins = torch.tensor([[0.9, 0.4, 0.1]]).expand(8, 3)
+    down = torch.nn.functional.normalize(torch.tensor([[-1.0, -0.7, 0.2]]), dim=1).expand(8, 3)
+    points = reference.vertex_points(scene)
+    estimates = []
+    for material in (MetalRough(0.7, 0.6, 1.0, roughness_map=texture), metal_rough(0.7, 0.6, 0.4)):
+        given = same(material, scene)
+        hits = along_rays(scene, light, given, origins, down, samples=2048)
+        at = radiance(scene, light, given, points, -down[:4], samples=2048)
+        estimates.append((over_points(hits), over_points(at)))
+    for one, two in zip(*estimates, strict=True):
+        assert agrees(one, two.mean, floor=0.01)
+    bare = Points(*points[:4])
+    with pytest.raises(ValueError, match="must have triangle and barycentric"):
+        radiance(scene, light, same(MetalRough(roughness_map=texture), scene), bare, -down[:4])
 
 
 def test_base_colour_multiplies_the_diffuse_part() -> None:

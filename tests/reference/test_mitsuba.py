@@ -10,8 +10,8 @@ import torch
 
 import ptt
 from ptt.light.environment import Environment
+from ptt.materials.textures import Texture
 from ptt.scene.scene import Region
-from ptt.scene.textures import Texture
 
 mi = pytest.importorskip("mitsuba", reason="mitsuba is not installed: pip install mitsuba")
 

@@ -290,6 +290,72 @@ def test_samplers_say_what_lies_beyond(tmp_path: Path, wrap: int, expected: floa
     assert scene.colours[0].tolist() == [expected] * 3
 
 
+def test_textures_of_metallic_and_roughness(tmp_path: Path) -> None:
+    """Green is roughness, blue metallic, both linear, each times its factor; red means nothing (3.9.2)."""
+    asset = Asset(TEXCOORD_0=UV)
+    texels = np.zeros((4, 4, 3))
+    texels[..., 0], texels[..., 1], texels[..., 2] = 255, 51, 102
+    asset.material(
+        pbrMetallicRoughness={
+            "baseColorFactor": [1, 0.5, 0.25, 1],
+            "metallicFactor": 0.5,
+            "roughnessFactor": 0.75,
+            "metallicRoughnessTexture": asset.image(texels),
+        }
+    )
+    scene = load(asset, tmp_path)
+    material = scene.materials["quad"]
+    assert isinstance(material, ptt.MetalRough)
+    values = scene.map_values(material.maps, torch.tensor([0]), torch.tensor([[0.2, 0.3, 0.5]]))[:, 0]
+    assert values.tolist() == pytest.approx([0.4, 0.2])
+    wi, wo = torch.nn.functional.normalize(torch.rand(2, 50, 3) + 0.01, dim=2)
+    found = material.evaluate(wi, wo, torch.ones(50, 3), values[:, None].expand(2, 50))
+    expected = ptt.metal_rough((1, 0.5, 0.25), 0.5 * 0.4, 0.75 * 0.2).evaluate(wi, wo)
+    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_a_texture_tints_a_metal(tmp_path: Path) -> None:
+    """Base colour is what a metal reflects straight on: of the texture, and of vertices, too."""
+    asset = Asset(TEXCOORD_0=UV)
+    asset.material(pbrMetallicRoughness={"baseColorTexture": asset.image(half()), "roughnessFactor": 0.5})
+    assert isinstance(load(asset, tmp_path).materials["quad"], ptt.MetalRough)
+    asset = Asset(COLOR_0=np.array([[1, 0.5, 0.25, 1]] * 4, "<f4"))
+    asset.material(pbrMetallicRoughness={"roughnessFactor": 0.5})
+    scene = load(asset, tmp_path)
+    up = torch.tensor([[0.0, 0.0, 1.0]])
+    found = scene.materials["quad"].evaluate(up, up, scene.colours[:1], torch.ones(2, 1))
+    assert (found / found[0, 0]).tolist()[0] == pytest.approx([1, 0.5, 0.25])
+
+
+def test_normals_and_emission(tmp_path: Path) -> None:
+    """Normals 2 rgb - 1, x and y times the scale (3.9.3); emission is sRGB times factor times strength (3.9.4)."""
+    asset = Asset(TEXCOORD_0=UV)
+    bent, lit = np.zeros((4, 4, 3)), np.zeros((4, 4, 3))
+    bent[:] = 204, 127.5, 229.5
+    lit[:] = 188
+    asset.material(
+        normalTexture=asset.image(bent) | {"scale": 0.5},
+        emissiveTexture=asset.image(lit),
+        emissiveFactor=[1, 0.5, 0],
+        extensions={"KHR_materials_emissive_strength": {"emissiveStrength": 4.0}},
+    )
+    with pytest.warns(UserWarning, match="without 1 x the light that glowing surfaces cast on others"):
+        region = ptt.load_scene(asset.save(tmp_path / "a.glb")).regions[0]
+    assert region.bumps is not None and region.glow is not None
+    assert region.bumps.normals[0, 0].tolist() == pytest.approx([0.351, 0.0, 0.936], abs=0.01)
+    assert region.glow.pixels[0, 0].tolist() == pytest.approx([2.01, 1.005, 0.0], abs=0.01)
+
+
+def test_textures_of_other_coordinates_are_left_out_by_name(tmp_path: Path) -> None:
+    asset = Asset(TEXCOORD_0=UV)
+    asset.material(
+        pbrMetallicRoughness={"metallicFactor": 0, "baseColorTexture": asset.image(half())},
+        normalTexture=asset.image(half() + 1) | {"texCoord": 1},
+    )
+    with pytest.warns(UserWarning, match="1 x the normal texture, whose coordinates are not those of the base colour"):
+        assert ptt.load_scene(asset.save(tmp_path / "a.glb")).regions[0].bumps is None
+
+
 def test_metallic_roughness_is_ggx(tmp_path: Path) -> None:
     asset = Asset()
     asset.material(
@@ -313,7 +379,7 @@ LOSSES: list[tuple[str, dict[str, Any]]] = [
     ("a clear coat", {"extensions": {"KHR_materials_clearcoat": {"clearcoatFactor": 1}}}),
     ("transmission", {"extensions": {"KHR_materials_transmission": {"transmissionFactor": 1}}}),
     ("KHR_materials_unheard_of", {"extensions": {"KHR_materials_unheard_of": {}}}),
-    ("emission", {"emissiveFactor": [1, 1, 1]}),
+    ("the light that glowing surfaces cast on others", {"emissiveFactor": [1, 1, 1]}),
     ("transparency", {"alphaMode": "MASK"}),
     ("a back that is seen", {"doubleSided": True}),
 ]

@@ -14,6 +14,7 @@ from torch import Tensor
 import ptt
 from ptt import reference
 from ptt.models.indirect import COARSE, ORDER
+from ptt.models.receivers import Receivers
 from ptt.models.slots import OWN, Slot, coefficients
 from ptt.ops import haar, harmonics, lobes, mesh, transfer
 from ptt.ops.octahedral import HemiOctahedral
@@ -357,6 +358,40 @@ def test_a_fixed_region_reflects_as_an_editable_one_with_its_material(
     others = free.first_bounce(rows)[:, :4]
     assert_close(others[:, 0], own[:, 0], 1e-6)
     assert_close(torch.einsum("p,vpsl->vsl", basis.of_shape(SHAPE), others[:, 1:]), own[:, 1], 5e-4)
+
+
+def test_a_material_that_varies_is_the_sum_of_its_layers(
+    raw: ptt.RawTransfer, models: tuple[ptt.TensorBRDF, ptt.BRDFBasis]
+) -> None:
+    """Of a fixed floor of two materials: with a share of 0 or 1 it is one of them, and linear in the share in between.
+
+    Each channel has what the fixed floor of `raw` has in its slots, diffuse and own, times its colours.
+    """
+    first, second = ptt.Material(0.6, (0.3, 0.5, 0.7), SHAPE), ptt.lambert((0.2, 0.1, 0.3))
+    rows = torch.arange(raw.receivers.spans[1][0], len(raw.receivers), 5)
+    t1 = torch.randn(len(raw.receivers), ORDER**2, 2, 3, generator=torch.Generator().manual_seed(0))
+
+    def reflected(receivers: Receivers) -> tuple[Tensor, Tensor]:
+        """What the floor's slots reflect once, and of some T1."""
+        made = paths(replace(raw, receivers=receivers), models)
+        own = slots_in(made, 0)
+        return made.first_bounce(rows)[:, own], made.second_bounce(rows, t1)[:, own]
+
+    def mixed(share: Tensor) -> tuple[Tensor, Tensor]:
+        materials = raw.receivers.materials | {"floor": ptt.Mixed(first, second, share)}
+        return reflected(replace(raw.receivers, materials=materials))
+
+    share = torch.rand(len(raw.receivers), generator=torch.Generator().manual_seed(1))
+    every = [torch.zeros_like(share), torch.ones_like(share), share, 1 - share, share / 2]
+    for parts, uniform in zip(zip(*map(mixed, every), strict=True), reflected(raw.receivers), strict=True):
+        none, whole, some, others, half = parts
+        for found, material in ((none, first), (whole, second)):
+            for channel in range(3):
+                diffuse, own = (float(x[channel]) for x in (material.diffuse, material.specular))
+                assert_close(found[:, channel], diffuse * uniform[:, 0] + own * uniform[:, 1], 1e-5)
+        assert_close(some + others, none + whole, 1e-5)
+        assert_close(2 * half, some + none, 1e-5)
+        assert float((some - (none + whole) / 2).abs().max()) > 0.05 * float(none.abs().max())
 
 
 def test_reduced_lighting_commutes(raw: ptt.RawTransfer, models: tuple[ptt.TensorBRDF, ptt.BRDFBasis]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
 
@@ -14,8 +13,8 @@ from torch.nn.functional import normalize
 
 from ptt.io.colour import to_srgb
 from ptt.io.images import read_image
+from ptt.materials.textures import Wrap
 from ptt.ops import mesh
-from ptt.scene.scene import Scene
 
 LOWEST = 0.05  # least height of a unit normal above the surface, 3 degrees: lower ones are raised to it
 
@@ -25,6 +24,7 @@ class BumpMap:
     """A tangent-space normal map (Ma et al. 2006, section 4.2).
 
     normals (h, w, 3): x along increasing u, y along increasing v, z out of the surface; any length but 0; row 0 on top
+    wrap: how it goes on beyond its edges, as a `Texture`
 
     Normals lower than 3 degrees above the surface are raised to that; a warning counts them.
 
@@ -33,6 +33,7 @@ class BumpMap:
     """
 
     normals: Tensor
+    wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
 
     def __post_init__(self) -> None:
         n = torch.as_tensor(self.normals, dtype=torch.float32)
@@ -68,26 +69,12 @@ class BumpMap:
         """The bump map of a .png with normals = 2 rgb - 1, y up (OpenGL's convention)."""
         return cls(2 * to_srgb(read_image(path)) - 1)
 
-    def bend(self, frames: Tensor, uv: Tensor) -> Tensor:
-        """Frames (p, 3, 3) of points at uv (p, 2), turned to the map's normals."""
-        local = mesh.sample_texture(self.normals, uv).to(frames)
+    def bend(self, frames: Tensor, uv: Tensor, mirrored: Tensor) -> Tensor:
+        """Frames (p, 3, 3) of points at uv (p, 2), turned to the map's normals.
+
+        mirrored (p,) bool: where uv run the other way around than the surface, and v against the bitangent
+        """
+        local = mesh.sample_texture(self.normals, uv, self.wrap).to(frames)
+        local = torch.where(mirrored[:, None], local * local.new_tensor([1.0, -1.0, 1.0]), local)
         normal = torch.einsum("pa,pax->px", local, frames)
         return mesh.frames(normal, frames[:, 0], lambda rows: frames[rows, 2])[0]
-
-
-def bent_frames(
-    scene: Scene, bumps: Mapping[str, BumpMap], frames: Tensor, uv: Tensor | None, region: Tensor
-) -> Tensor:
-    """Frames (p, 3, 3), turned by the bump maps of their regions (p,); uv (p, 2).
-
-    Raises:
-        ValueError: a region is unknown, or the scene has no uv.
-    """
-    for name, bump in bumps.items():
-        rows = (region == scene.region_index(name)).nonzero()[:, 0]
-        if uv is None:
-            raise ValueError(
-                f"the bump map of {name!r} needs uv: give its part uv (v, 2), or a mesh file that has them"
-            )
-        frames = frames.index_copy(0, rows, bump.bend(frames[rows], uv[rows]))
-    return frames

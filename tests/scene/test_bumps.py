@@ -39,6 +39,33 @@ def test_normals_follow_u_and_v(axis: int, local: tuple[float, float]) -> None:
     torch.testing.assert_close(frames @ frames.mT, torch.eye(3).expand(len(frames), 3, 3), rtol=0, atol=1e-5)
 
 
+@pytest.mark.parametrize(("axis", "local"), [(0, (-1.0, 0.0)), (2, (0.0, -1.0))])
+def test_normals_follow_mirrored_u_and_v(axis: int, local: tuple[float, float]) -> None:
+    """The same with u against world x: the bitangent then points against v."""
+    leaned = torch.tensor([0.5 * local[0], 0.5 * local[1], math.cos(math.pi / 6)])
+    plain = floor()
+    assert plain.uv is not None
+    vertices, faces = mesh.plane_mesh(2.0, 1)
+    uv = plain.uv * torch.tensor([-1.0, 1.0])
+    part = Part("floor", vertices, faces, uv=uv, bumps=ptt.BumpMap(leaned.expand(2, 2, 3)))
+    scene = ptt.Scene.from_parts([part], camera=plain.camera)
+    normals = ptt.GBuffer.of(scene, scene.camera).frames[:, 2]
+    wanted = torch.zeros(3)
+    wanted[1], wanted[axis] = math.cos(math.pi / 6), 0.5
+    torch.testing.assert_close(normals, wanted.expand(len(normals), 3), rtol=0, atol=1e-5)
+
+
+def test_a_scene_has_bumps_of_its_own() -> None:
+    """Unless others are given."""
+    vertices, faces = mesh.plane_mesh(2.0, 1)
+    plain = floor()
+    own, other = (ptt.BumpMap(torch.rand(4, 4, 3, generator=torch.Generator().manual_seed(k)) + 0.2) for k in (0, 1))
+    scene = ptt.Scene.from_parts([Part("floor", vertices, faces, uv=plain.uv, bumps=own)], camera=plain.camera)
+    for bumps, expected in ((None, own), ({"floor": other}, other)):
+        found = ptt.GBuffer.of(scene, scene.camera, bumps).frames
+        torch.testing.assert_close(found, ptt.GBuffer.of(plain, plain.camera, {"floor": expected}).frames)
+
+
 def test_heights() -> None:
     """A wave along u: its slope is the derivative, 2 pi depth cos; v has none."""
     u = (torch.arange(256) + 0.5) / 256

@@ -1,0 +1,293 @@
+"""Materials that vary over a surface: a few materials, and how much of each there is at a point.
+
+    f(x, wi, wo) = sum over k of  a_k(x) [d_k colour(x) / pi + s_k f_k(wi, wo)]
+
+Relighting is linear in the shares a_k, which textures give, so that whatever shows the few shows their mixture: two
+materials side by side (`Mixed`; Ma et al. 2006, section 4.2), or metallic-roughness from textures (`MetalRough`), whose
+roughness is interpolated between fixed ones. `Material` is the case of one that is the same everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ptt.materials import material as mat
+from ptt.materials.material import DIELECTRIC, SMOOTHEST, Colour, LayersAt, Material, as_colour
+from ptt.materials.shapes import GGX, check, check_number
+from ptt.materials.textures import Texture
+from ptt.ops import brdf
+
+Map = Texture | Tensor
+"""A value over a surface: a texture of one channel by the scene's uv, (h, w) that repeats, or (v,) of its vertices."""
+
+KNOTS = (SMOOTHEST, 0.05, 0.08, 0.12, 0.18, 0.27, 0.4, 0.6, 0.8, 1.0)
+"""Roughnesses between which textures are interpolated: a third to two thirds apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mixed:
+    """Two materials on one surface, (1 - share) first + share second (Ma et al. 2006, 4.2).
+
+    share: values in 0..1, a texture (h, w) by the scene's uv, or (v,) at the scene's vertices
+
+    Raises:
+        ValueError: share has another shape or is out of its range.
+    """
+
+    first: Material
+    second: Material
+    share: Map
+
+    def __post_init__(self) -> None:
+        _check_map("share", self.share)
+
+    @property
+    def maps(self) -> tuple[Map | None, ...]:
+        """The share."""
+        return (self.share,)
+
+    def with_maps(self, maps: Sequence[Map | None]) -> Mixed:
+        """The same with another share."""
+        (share,) = maps
+        assert share is not None
+        return replace(self, share=share)
+
+    @property
+    def layers(self) -> tuple[Material, ...]:
+        """Those of the first, then those of the second."""
+        return self.first.layers + self.second.layers
+
+    @property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """All layers together."""
+        return (tuple(range(len(self.layers))),)
+
+    def at(self, values: Tensor, colour: Tensor) -> LayersAt:
+        """The layers at points, of the share there (1, n) and the base colour (n, 3)."""
+        share = values[0].clamp(0, 1)[:, None].expand(-1, 3)
+        shares = [1 - share] * len(self.first.layers) + [share] * len(self.second.layers)
+        return LayersAt(torch.zeros_like(colour[:, 0], dtype=torch.int64), torch.stack(shares), colour)
+
+    def evaluate(self, wi: Tensor, wo: Tensor, colour: Tensor, values: Tensor) -> Tensor:
+        """The BRDF (n, 3) [1/sr] at points, for local unit directions (n, 3)."""
+        first = self.first.evaluate(wi, wo, colour)
+        return torch.lerp(first, self.second.evaluate(wi, wo, colour), values[0].clamp(0, 1)[:, None].to(first))
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class MetalRough:
+    """The metallic-roughness material of glTF, over the base colour of the surface, with textures.
+
+    base (3,): multiplies the base colour, 0..1
+    metallic, roughness: 0..1; they multiply their maps
+    reflectance (3,): what the dielectric reflects straight on
+    metallic_map, roughness_map: a `Map` each, 0..1, or None for 1
+
+        f = colour (1 - metallic) (1 - reflectance) / pi + GGX of f0 = reflectance (1 - metallic) + colour metallic
+
+    with colour = base times the base colour. Schlick's reflectance is linear in f0: its layers are GGX with f0 of 1
+    and of 0, at the roughnesses between which that of a point lies. Roughnesses below 0.03 become 0.03.
+
+    Example:
+        >>> worn = ptt.MetalRough(metallic=1.0, roughness=0.8, roughness_map=scratches)
+        >>> relighter(light, {"cup": dataclasses.replace(worn, roughness=0.4)}, camera)
+
+    Raises:
+        ValueError: a value is out of its range, or a map has another shape.
+    """
+
+    base: Tensor
+    metallic: float
+    roughness: float
+    reflectance: Tensor
+    metallic_map: Map | None
+    roughness_map: Map | None
+
+    def __init__(
+        self,
+        base: Colour = 1.0,
+        metallic: float = 1.0,
+        roughness: float = 1.0,
+        reflectance: Colour = DIELECTRIC,
+        metallic_map: Map | None = None,
+        roughness_map: Map | None = None,
+    ) -> None:
+        for name, number in (("metallic", metallic), ("roughness", roughness)):
+            check_number(name, number, 0.0, 1.0)
+        for name, given in (("metallic_map", metallic_map), ("roughness_map", roughness_map)):
+            if given is not None:
+                _check_map(name, given)
+        values = {
+            "base": as_colour("base", base, 1.0),
+            "metallic": float(metallic),
+            "roughness": float(roughness),
+            "reflectance": as_colour("reflectance", reflectance, 1.0),
+            "metallic_map": metallic_map,
+            "roughness_map": roughness_map,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def maps(self) -> tuple[Map | None, ...]:
+        """Those of metallic and roughness."""
+        return self.metallic_map, self.roughness_map
+
+    def with_maps(self, maps: Sequence[Map | None]) -> MetalRough:
+        """The same with other maps of metallic and roughness."""
+        metallic, roughness = maps
+        return replace(self, metallic_map=metallic, roughness_map=roughness)
+
+    @cached_property
+    def knots(self) -> tuple[float, ...]:
+        """The roughnesses of the layers: those of `KNOTS` around the texture's, or the only one."""
+        if self.roughness_map is None:
+            return (max(self.roughness, SMOOTHEST),)
+        texels = self.roughness_map.pixels if isinstance(self.roughness_map, Texture) else self.roughness_map
+        low, high = (min(max(self.roughness * float(x), SMOOTHEST), 1.0) for x in (texels.min(), texels.max()))
+        first = max(knot for knot in KNOTS if knot <= low)
+        last = min(knot for knot in KNOTS if knot >= high)
+        return tuple(knot for knot in KNOTS if first <= knot <= last)
+
+    @cached_property
+    def layers(self) -> tuple[Material, ...]:
+        """For each roughness, GGX that reflects all straight on, and GGX that reflects grazing light alone."""
+        return tuple(Material(1.0, 1.0, GGX(f0, knot)) for knot in self.knots for f0 in (1.0, 0.0))
+
+    @cached_property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """The layers of two roughnesses that lie side by side, or of the only one."""
+        first = range(max(1, len(self.knots) - 1))
+        return tuple(tuple(range(2 * k, min(2 * k + 4, len(self.layers)))) for k in first)
+
+    def at(self, values: Tensor, colour: Tensor) -> LayersAt:
+        """The layers at points, of the maps there (2, n) and the base colour (n, 3)."""
+        roughness, f0, diffuse = self._surface(values, colour)
+        if len(self.knots) == 1:
+            return LayersAt(torch.zeros_like(colour[:, 0], dtype=torch.int64), torch.stack((f0, 1 - f0)), diffuse)
+        knots = f0.new_tensor(self.knots)
+        group = torch.searchsorted(knots, roughness, right=True).sub(1).clamp(0, len(knots) - 2)
+        low, high = knots[group], knots[group + 1]
+        share = ((roughness - low) / (high - low)).clamp(0, 1)[:, None]
+        shares = torch.stack((f0 * (1 - share), (1 - f0) * (1 - share), f0 * share, (1 - f0) * share))
+        return LayersAt(group, shares, diffuse)
+
+    def evaluate(self, wi: Tensor, wo: Tensor, colour: Tensor, values: Tensor) -> Tensor:
+        """The BRDF (n, 3) [1/sr] at points, for local unit directions (n, 3): exact, without layers."""
+        roughness, f0, diffuse = self._surface(values, colour)
+        all_of_it, grazing = (brdf.ggx(wi, wo, f, roughness)[:, None] for f in (1.0, 0.0))
+        lambert = brdf.lambert(wi, wo)[:, None] * diffuse.to(wi)
+        return lambert + grazing + f0.to(wi) * (all_of_it - grazing)
+
+    def _surface(self, values: Tensor, colour: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Roughness (n,), reflectance straight on (n, 3), and the colour of the diffuse part (n, 3)."""
+        colour = colour * self.base.to(colour)
+        metallic = (self.metallic * values[0]).clamp(0, 1).to(colour)
+        roughness = (self.roughness * values[1]).clamp(SMOOTHEST, 1).to(colour)
+        reflectance = self.reflectance.to(colour)
+        f0 = torch.lerp(reflectance.expand_as(colour), colour.clamp(0, 1), metallic[:, None])
+        return roughness, f0, colour * (1 - metallic[:, None]) * (1 - reflectance)
+
+
+MIXED, METAL_ROUGH = "mixed", "metal-rough"  # their models in a config
+Varying = Mixed | MetalRough
+SurfaceMaterial = Material | Varying
+"""What a region may be made of."""
+
+
+def _check_map(name: str, given: Map) -> None:
+    texels = given.pixels if isinstance(given, Texture) else given
+    if not isinstance(texels, Tensor) or (isinstance(given, Texture) and texels.shape[2] != 1):
+        raise ValueError(f"{name} must be a ptt.Texture of one channel, or a tensor (h, w) or (v,), got {given!r}")
+    if not isinstance(given, Texture) and (texels.ndim not in (1, 2) or not texels.numel()):
+        raise ValueError(f"{name} must be a texture (h, w) or of the vertices (v,), got {tuple(texels.shape)}")
+    check(name, texels, 0.0, 1.0)
+
+
+def materials_of_regions(own: Mapping[str, SurfaceMaterial], given: Mapping[str, Any]) -> dict[str, SurfaceMaterial]:
+    """The material of every region, by name and in the order of `own`: the given one, else its own.
+
+    Raises:
+        ValueError: no region has a given name, or a value is no material.
+    """
+    if not isinstance(given, Mapping):
+        one = next(iter(own))
+        raise ValueError(
+            f"materials must map regions to materials, as {{{one!r}: material}}, got {type(given).__name__}"
+        )
+    if unknown := [name for name in given if name not in own]:
+        raise ValueError(f"no region {', '.join(unknown)}; there are {', '.join(own)}")
+    if wrong := [name for name, material in given.items() if not isinstance(material, SurfaceMaterial)]:
+        raise ValueError(f"materials must map regions to ptt.Material, got {type(given[wrong[0]]).__name__}")
+    return {name: given.get(name, material) for name, material in own.items()}
+
+
+def all_shares(material: SurfaceMaterial, at: LayersAt) -> Tensor:
+    """How much of each of a material's layers (k, n, 3) there is at points: 0 of those of other groups."""
+    index = torch.tensor(material.groups, device=at.group.device)[at.group]  # shape: (n, m)
+    shares = at.shares.new_zeros(len(material.layers), len(index), 3)
+    return shares.scatter(0, index.T[..., None].expand(-1, -1, 3), at.shares)
+
+
+def describe(material: SurfaceMaterial) -> str:
+    """A material in a few words: the models of its highlights."""
+    if isinstance(material, Mixed):
+        return f"{describe(material.first)} mixed with {describe(material.second)}"
+    if isinstance(material, MetalRough):
+        return "metal-rough" + " from textures" * any(given is not None for given in material.maps)
+    return ", ".join(highlight.shape.model for highlight in material.highlights) or "lambert"
+
+
+def same(a: SurfaceMaterial, b: SurfaceMaterial) -> bool:
+    """Tell whether two materials reflect alike: of one kind, with equal values and maps."""
+    if type(a) is not type(b) or to_config(a) != to_config(b):
+        return False
+    return all(map(_same_map, a.maps, b.maps))
+
+
+def _same_map(a: Map | None, b: Map | None) -> bool:
+    if isinstance(a, Texture) and isinstance(b, Texture):
+        return a.wrap == b.wrap and torch.equal(a.pixels, b.pixels)
+    return a is b or (isinstance(a, Tensor) and isinstance(b, Tensor) and torch.equal(a, b))
+
+
+def to_config(material: SurfaceMaterial) -> dict[str, Any]:
+    """A material as plain values (`ptt.materials.material.to_config`); of maps, whether there are any."""
+    if isinstance(material, Mixed):
+        return {"model": MIXED, "first": mat.to_config(material.first), "second": mat.to_config(material.second)}
+    if isinstance(material, MetalRough):
+        return {
+            "model": METAL_ROUGH,
+            "base": material.base.tolist(),
+            "metallic": material.metallic,
+            "roughness": material.roughness,
+            "reflectance": material.reflectance.tolist(),
+            "maps": [given is not None for given in material.maps],
+        }
+    return mat.to_config(material)
+
+
+def from_config(config: Mapping[str, Any], maps: Tensor | None = None) -> SurfaceMaterial:
+    """The material of a config, the inverse of `to_config`; maps (m, v): the values of its maps at vertices.
+
+    Raises:
+        ValueError: as `ptt.materials.material.from_config`.
+    """
+    values = dict(config)
+    if config.get("model") == MIXED and maps is not None:
+        return Mixed(mat.from_config(values["first"]), mat.from_config(values["second"]), maps[0])
+    if config.get("model") != METAL_ROUGH:
+        return mat.from_config(config)
+    del values["model"]
+    has = values.pop("maps", (False, False))
+    valid = ("base", "metallic", "roughness", "reflectance")
+    if unknown := [key for key in values if key not in valid]:
+        raise ValueError(f"material: unknown {', '.join(map(repr, unknown))}; valid are {', '.join(valid)}")
+    given = [maps[k] if there and maps is not None else None for k, there in enumerate(has)]
+    return MetalRough(**values).with_maps(given)
