@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 import ptt
-from bench.forms import four_forms
+from bench.forms import BLOCKS, block, four_forms, made
 from bench.table import Table, median_seconds, read_bandwidth, setting
 from ptt.materials import shapes
 from ptt.ops import mesh
@@ -112,6 +112,36 @@ def fused(
         lambda k: scene.camera.orbited(0.37 * k),
         f"{len(scene.vertices)} vertices, paper settings, lobes included, {material.shape}",
     )
+    gathers(table, name, scene.camera, light, own, model)
+
+
+def gathers(
+    table: Table,
+    name: str,
+    camera: ptt.Camera,
+    light: ptt.Environment,
+    materials: Mapping[str, ptt.Material],
+    model: ptt.TransferModel,
+) -> None:
+    """The share of a change of view that torch.compile alone waits for what it gathers.
+
+    Over the same arithmetic where all points stand and look alike, so that all gather from the same cells.
+    """
+    alike = ptt.TransferRelighter(model, compiled=False)
+    for region in alike.steps.points:
+        for name_of in ("position", "frame"):
+            values = region.get_buffer(name_of)
+            region.register_buffer(name_of, values[..., :1].expand_as(values).contiguous(), persistent=False)
+    both = {"all": made(ptt.TransferRelighter(model, compiled=False), True), "alike": made(alike, True)}
+    seconds: dict[str, list[float]] = {which: [] for which in both}
+    for _ in range(BLOCKS):
+        for which, relighter in both.items():
+            seconds[which] += block(relighter, lambda k: (light, materials, camera.orbited(0.37 * k)), 8)
+    waits = 1 - statistics.median(seconds["alike"]) / statistics.median(seconds["all"])
+    how = (
+        f"1 - the time of points that all gather from the same cells, over that of {len(model.positions)}; {setting()}"
+    )
+    table.row(f"{name}, view changes, torch.compile alone, share of gathers", waits, "", how)
 
 
 def bytes_read(

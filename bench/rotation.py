@@ -189,7 +189,7 @@ def forms(table: Table, scene: ptt.Scene, light: ptt.Environment, n: int) -> Non
     relighter = ptt.EnvMapRelighter(scene, ptt.LightRotation.build(n, 32))
     shape = ptt.fitted("gold-metallic-paint").shape
     assert shape is not None and scene.camera is not None
-    at = relighter.points(scene.camera, torch.zeros(3), {})[0].lookup
+    at = relighter.points(scene.camera, torch.zeros(3), relighter.chosen({}))[0][0].points.lookup
     cut = relighter.slices_of(shape)
     assert cut is not None
     args = relighter.incident(light).local, cut, slices.first_slice(cut, at.twist), relighter.rotation.frames, at

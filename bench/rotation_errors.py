@@ -49,7 +49,7 @@ class Body:
         seen = torch.nonzero((scene.camera.toward(scene.points) * scene.normals).sum(1) > 0.05)[:, 0]
         index = seen[torch.randperm(len(seen), generator=torch.Generator().manual_seed(0))[:count]]
         body = cls(name, scene, index, {}, {})
-        points = reference.Points(*(x[index] for x in reference.vertex_points(scene)))
+        points = reference.vertex_points(scene).take(index)
         for material in (*GLOSSY, DULL):
             given = body.dressed(material)
             wo = scene.camera.toward(points.position)
@@ -236,7 +236,7 @@ def anisotropic(table: Table, ball: ptt.Scene, light: ptt.Environment, quick: bo
     """A brushed sphere: the twists of a tangent that are sampled."""
     assert ball.camera is not None
     at = torch.nonzero((ball.camera.toward(ball.points) * ball.normals).sum(1) > 0.05)[:200, 0]
-    points = reference.Points(*(x[at] for x in reference.vertex_points(ball)))
+    points = reference.vertex_points(ball).take(at)
     material = ptt.ward(0.0, 1.0, 0.1, 0.4)
     given = {"sphere": material}
     wo = ball.camera.toward(points.position)

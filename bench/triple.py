@@ -260,7 +260,7 @@ def coefficients(
     seen = ((scene.camera.toward(scene.points) * scene.normals).sum(1) > 0.1).nonzero()[:, 0]
     index = seen[torch.randperm(len(seen), generator=torch.Generator().manual_seed(0))[:some]]
     frames = scene.frames[index]
-    points = reference.Points(*(x[index] for x in reference.vertex_points(scene)))
+    points = reference.vertex_points(scene).take(index)
     toward = scene.camera.toward(points.position)
     grid = Geodesic(finest)
     visible = local.visibility(scene.surface, points.position, frames, grid, 2).float() / 255

@@ -14,8 +14,8 @@ import tyro
 
 from ptt.light.environment import Environment
 from ptt.light.layouts import Layout as Layout  # for the scripts
-from ptt.materials.material import Material
 from ptt.materials.spaces import BRDFSpace
+from ptt.materials.varying import SurfaceMaterial
 from ptt.models.receivers import Receivers
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import keeping
@@ -81,7 +81,7 @@ def chosen_light(name: str, scene: Scene, layout: Layout) -> Environment:
     return light
 
 
-def chosen_space(name: Space, materials: Mapping[str, Material]) -> BRDFSpace:
+def chosen_space(name: Space, materials: Mapping[str, SurfaceMaterial]) -> BRDFSpace:
     """The space of that name; "auto" is the one that holds the shapes of the materials, Blinn-Phong for none.
 
     Raises:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from importlib import resources
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import Any, overload
 
 import torch
@@ -105,28 +105,40 @@ class BRDFSpace:
         return cls(tuple(GGX(f0, r) for r in roughnesses for f0 in (0.0, 1.0)))
 
     @classmethod
-    def holding(cls, materials: Iterable[SurfaceMaterial]) -> BRDFSpace:
-        """The space that holds the shapes of some materials, and all of their models'; Blinn-Phong for none.
+    def holding(cls, chosen: Iterable[SurfaceMaterial | BRDFSpace]) -> BRDFSpace:
+        """The space that holds some materials, with all shapes of their models, and other spaces; Blinn-Phong for none.
 
         Raises:
-            ValueError: a material has a `Blend`.
+            ValueError: a material has a `Blend`, or what is chosen is neither a material nor a space.
         """
-        layers = [layer for material in materials for layer in material.layers]
+        chosen = list(chosen)
+        if wrong := [one for one in chosen if not isinstance(one, SurfaceMaterial | BRDFSpace)]:
+            raise ValueError(f"a space holds materials and spaces, got {type(wrong[0]).__name__}")
+        spaces = [one for one in chosen if isinstance(one, BRDFSpace)]
+        layers = [layer for one in chosen if not isinstance(one, BRDFSpace) for layer in one.layers]
         every = [highlight.shape for layer in layers for highlight in layer.highlights]
-        named = {shape.name: shape for shape in every if isinstance(shape, Named)}
         if blends := [shape for shape in every if isinstance(shape, Blend)]:
             raise ValueError(f"a space of its own is for analytic and named shapes, got {blends[0]}")
-        makers: dict[str, Callable[[], BRDFSpace]] = {
-            BlinnPhong.model: cls.blinn_phong,
-            GGX.model: lambda: cls.ggx(_roughnesses(min(number(s.roughness) for s in every if isinstance(s, GGX)))),
-            CookTorrance.model: cls.fitted,
-            Ward.model: lambda: cls.ward(anisotropic=not all(s.isotropic for s in every if isinstance(s, Ward))),
-        }
-        models = sorted({shape.model for shape in every if isinstance(shape, Analytic)})
-        parts = [makers[model]() for model in models or ([] if named else [BlinnPhong.model])]
-        samples = [sample for part in parts for sample in part.samples] + list(named.values())
+        parts = [*map(cls._of_family, _by_family(every)), *spaces]
+        named = [shape for shape in every if isinstance(shape, Named)]
+        parts = parts or ([] if named else [cls.blinn_phong()])
+        samples = {str(shapes.to_config(s)): s for s in [*(s for part in parts for s in part.samples), *named]}
         known = {name: material for part in parts for name, material in part.materials.items()}
-        return cls(tuple(samples), known, any(part.clamped for part in parts))
+        return cls(tuple(samples.values()), known, any(part.clamped for part in parts))
+
+    @classmethod
+    def _of_family(cls, own: Sequence[Analytic]) -> BRDFSpace:
+        """The usual space of a family, as far as some shapes of it reach."""
+        match own[0]:
+            case BlinnPhong():
+                return cls.blinn_phong(_reaching(EXPONENTS, _values(own, "exponent")))
+            case GGX():
+                return cls.ggx(_reaching(ROUGHNESSES, _values(own, "roughness")))
+            case Ward():
+                brushed = "ay" in shapes.parameters(own[0])
+                slopes = _reaching(SLOPES[::4] if brushed else SLOPES, _values(own, "ax", "ay"), 1.0)
+                return cls.ward(slopes, brushed)
+        return cls.fitted()
 
     @classmethod
     def user(cls, brdfs: Mapping[str, BRDF | Material]) -> BRDFSpace:
@@ -320,10 +332,27 @@ def fitted(name: str) -> Material:
     return BRDFSpace.fitted().material(name)
 
 
-def _roughnesses(least: float) -> tuple[float, ...]:
-    """`ROUGHNESSES`, and as many smaller ones at the same ratio as reach the least."""
-    steps = max(0, math.ceil(24 * math.log10(ROUGHNESSES[0] / least) - 1e-6))
-    return (*(ROUGHNESSES[0] * 0.1 ** (k / 24) for k in range(steps, 0, -1)), *ROUGHNESSES)
+def _by_family(every: Iterable[Shape]) -> list[list[Analytic]]:
+    """The analytic shapes, family by family."""
+    analytic = sorted((shape for shape in every if isinstance(shape, Analytic)), key=family_of)
+    return [list(own) for _, own in groupby(analytic, family_of)]
+
+
+def _values(own: Iterable[Analytic], *names: str) -> list[float]:
+    """The parameters of those names of some shapes."""
+    given = [getattr(shape, name) for shape in own for name in names]
+    return [number(value) for value in given if value is not None]
+
+
+def _reaching(values: Sequence[float], wanted: Sequence[float], most: float = math.inf) -> tuple[float, ...]:
+    """Ascending values, and as many more at the same ratio, down to 1e-3 of the first, as reach all that are wanted."""
+    ratio = values[1] / values[0]
+    found = list(values)
+    while max(wanted) > found[-1] * (1 + 1e-6):
+        found.append(min(found[-1] * ratio, most))
+    while min(wanted) < found[0] * (1 - 1e-6) and found[0] > 1e-3 * values[0]:
+        found.insert(0, found[0] / ratio)
+    return tuple(found)
 
 
 def _named_material(name: str, given: BRDF | Material) -> Material:

@@ -26,7 +26,7 @@ class Receivers:
     colours (v, 3): linear base colour
     counts: number of points in each region, in the order of the names
     names, editable: those of the regions
-    materials: default material of each region, by name; maps are those of the points, rows of `maps`
+    materials: default material of each region (`SurfaceMaterial`), by name; maps are values of the points, as `maps`
     maps (m, v): values of the maps of each point's own material, 1 where it has none
     uv (v, 2): texture coordinates; None where the scene has none
     glow (v, 3): radiance that the points send out by themselves; None where the scene has none
@@ -38,7 +38,7 @@ class Receivers:
     counts: tuple[int, ...]
     names: tuple[str, ...]
     editable: tuple[bool, ...]
-    materials: dict[str, SurfaceMaterial]
+    materials: dict[str, Any]
     maps: Tensor
     uv: Tensor | None = None
     glow: Tensor | None = None
@@ -169,14 +169,12 @@ class Receivers:
     def expected(config: Mapping[str, Any]) -> Shapes:
         """Types and shapes of the tensors that belong to a config."""
         v = sum(region["points"] for region in config["regions"])
+        optional = {"maps": (config.get("maps"), v), "uv": (v, 2), "glow": (v, 3)}
         return {
             "positions": (torch.float32, (v, 3)),
             "frames": (torch.float32, (v, 3, 3)),
             "colours": (torch.float32, (v, 3)),
-            **({"maps": (torch.float32, (config["maps"], v))} if config["maps"] else {}),
-            **({"uv": (torch.float32, (v, 2))} if config["uv"] else {}),
-            **({"glow": (torch.float32, (v, 3))} if config["glow"] else {}),
-        }
+        } | {name: (torch.float32, shape) for name, shape in optional.items() if config.get(name)}
 
 
 def _with_maps(

@@ -53,8 +53,8 @@ class Points(NamedTuple):
     triangle: Tensor | None = None
     barycentric: Tensor | None = None
 
-    def take(self, rows: Tensor) -> Points:
-        """Some of the points, by their numbers (k,)."""
+    def take(self, rows: Tensor | slice) -> Points:
+        """Some of the points, by their numbers (k,) or a slice of them."""
         places = (None if field is None else field[rows] for field in (self.triangle, self.barycentric))
         return Points(*(field[rows] for field in self[:4]), *places)
 

@@ -53,7 +53,7 @@ class Scene:
     tints (v, 3): what multiplies the texture in regions that have both, 1 in others; None where no region has both
     uv (v, 2): texture coordinates, v = 1 on top; 0 in regions that have none; None where no region has any
     regions: their names, textures, and whether they may be edited
-    materials: default Material of each region, by name
+    materials: default material of each region, by name: a `Material`, or one that varies over it (`SurfaceMaterial`)
     camera: the one given, or one that frames all parts
     environment: the one given, or None
     offset (3,) float64: what was subtracted from positions that lie far from the origin for their size, else 0
@@ -68,7 +68,7 @@ class Scene:
     colours: Tensor
     uv: Tensor | None
     regions: tuple[Region, ...]
-    materials: dict[str, SurfaceMaterial]
+    materials: dict[str, Any]
     camera: Camera
     environment: Environment | None = None
     tints: Tensor | None = None

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from ptt.materials.spaces import BRDFSpace
+from ptt.materials.varying import SurfaceMaterial
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.tensor_brdf import TensorBRDF, usual_ranks
 from ptt.models.transfer_model import SparseTransfer, TransferModel
@@ -22,6 +25,7 @@ def compress(
     basis: BRDFBasis | None = None,
     clusters: Clusters | None = Clusters(),  # noqa: B008 (frozen)
     *,
+    editable: Sequence[SurfaceMaterial | BRDFSpace] = (),
     max_memory: float = 10e9,
     progress: bool = False,
 ) -> TransferModel:
@@ -29,10 +33,12 @@ def compress(
 
     coefficients: Haar coefficients of T0 kept, on average over a point's factors; None keeps all, the paper keeps 96
     brdf: the materials that the model can show, as they reflect at the points; default: all of the models of the
-        scene's own materials (`BRDFSpace.holding`), Blinn-Phong where it has none, at `usual_ranks`
+        scene's own materials and of `editable` (`BRDFSpace.holding`), Blinn-Phong where there are none, at
+        `usual_ranks`
     basis: the same space as it reflects light on its way; default: four functions and the diffuse one
     clusters: how points share eigen-points; None keeps every point's own T0, for direct light alone and without lobes:
         exact, but 10 to 100 times as large and as slow to light anew
+    editable: materials and spaces that shall be shown too; printing the model tells what it shows
     max_memory: bytes that may be in use
     progress: show bars with the rate and the time left
 
@@ -40,15 +46,20 @@ def compress(
 
     Raises:
         ValueError: coefficients are out of range, basis and brdf have different spaces, indirect light or lobes have no
-            clusters, or there is too little memory.
+            clusters, there is too little memory, or `brdf` does not show the material of a fixed region, or `editable`.
 
     Sun et al. 2007, sections 3.3 and 4.3; Ng et al. 2003 for the weighting by area.
     """
     if clusters is None and raw.bounces:
         raise ValueError("light that bounces needs clusters, got None")
+    own = raw.receivers
     if brdf is None:
-        space = BRDFSpace.holding(raw.receivers.materials.values())
+        space = BRDFSpace.holding([*own.materials.values(), *editable])
+        _check_shown(space, own.materials)
         brdf = TensorBRDF.fit(space, usual_ranks(space), separated=SEPARATED_LOBES if clusters else 0)
+    elif editable:
+        raise ValueError("editable is for the brdf that is made here: fit the given one to BRDFSpace.holding(...)")
+    _check_shown(brdf.space, {n: own.materials[n] for n, may in zip(own.names, own.editable, strict=True) if not may})
     if clusters is not None:
         basis = basis or BRDFBasis.fit(brdf.space)
         transfer = assemble(raw, brdf, basis, coefficients, max_memory=max_memory, progress=progress)
@@ -59,3 +70,13 @@ def compress(
     largest = Truncated(direct.indices, direct.values)
     sparse = SparseTransfer.of(largest, direct.coarse.shape[1], Cube(raw.resolution).cells)
     return TransferModel(raw.receivers, brdf, None, raw.resolution, 0, sparse, [], direct.error)
+
+
+def _check_shown(space: BRDFSpace, materials: Mapping[str, SurfaceMaterial]) -> None:
+    """Refuse materials of regions that a space does not hold, before anything takes long."""
+    for name, material in materials.items():
+        try:
+            for layer in material.layers:
+                space.coloured(layer)
+        except ValueError as error:
+            raise ValueError(f"region {name!r}: {error}") from None

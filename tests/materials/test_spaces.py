@@ -437,6 +437,18 @@ def test_a_space_of_several_models() -> None:
     assert {sample.model for sample in ptt.BRDFSpace.holding([ptt.lambert()]).samples} == {"blinn-phong"}
 
 
+def test_a_space_reaches_as_far_as_its_materials() -> None:
+    """Beyond the usual samples, and with materials and spaces that may be chosen later."""
+    far = [ptt.ggx(roughness=0.03), ptt.blinn_phong(exponent=3000.0), ptt.ward(ax=0.97), ptt.ward(ax=0.01, ay=0.5)]
+    worn = ptt.MetalRough(roughness_map=torch.tensor([0.02, 0.3]))
+    space = ptt.BRDFSpace.holding([*far, worn, ptt.BRDFSpace.fitted(), ptt.BRDFSpace.ggx()])
+    for material in (*far, *worn.layers, ptt.fitted("nickel"), ptt.ggx(roughness=0.5)):
+        space.coloured(material)
+    assert space.material("nickel") is not None
+    with pytest.raises(ValueError, match="a space holds materials and spaces, got str"):
+        ptt.BRDFSpace.holding(["nickel"])  # type: ignore[list-item]
+
+
 def test_one_model_shows_materials_of_several_families() -> None:
     """What each shows alone, by default: a plastic of GGX beside a Blinn-Phong floor, both edited."""
     from ptt.ops import mesh

@@ -227,7 +227,7 @@ def test_open_white_box_fills_up_to_one() -> None:
     points = reference.vertex_points(scene)
     means = []
     for bounces in (0, 1, 3, 8, 60):
-        low = Points(*(x[scene.vertices[:, 1] < 0] for x in points))
+        low = points.take(scene.vertices[:, 1] < 0)
         low = low._replace(position=low.position * 0.9)  # off the edges
         estimate = over_points(radiance(
             scene, Environment.constant(), same(lambert(1.0), scene), low, low.frame[:, 2], bounces=bounces
@@ -259,7 +259,7 @@ def test_how_directions_are_drawn_does_not_matter(monkeypatch: pytest.MonkeyPatc
     environment = Environment.area_light((0.4, 0.8, 0.3), 15.0, 20.0)
     environment = Environment(environment.map + smooth_sky_like(environment))
     rows = torch.arange(0, len(scene.vertices), 40)
-    points = Points(*(x[rows] for x in reference.vertex_points(scene)))
+    points = reference.vertex_points(scene).take(rows)
     wo = scene.camera.toward(points.position)
     materials = scene.materials | {scene.regions[0].name: ptt.blinn_phong(0.3, 0.5, 100.0)}
 
@@ -297,7 +297,7 @@ def test_standard_error_is_the_spread_of_seeds(samples: int) -> None:
     """
     scene = ptt.default_scene()
     environment = smooth_sky()
-    points = Points(*(x[::32] for x in reference.vertex_points(scene)))
+    points = reference.vertex_points(scene).take(slice(None, None, 32))
     wo = points.frame[:, 2]
     runs = [radiance(scene, environment, scene.materials, points, wo, samples=samples, seed=seed) for seed in range(24)]
     means = torch.stack([run.mean for run in runs])
@@ -356,7 +356,7 @@ def test_any_number_of_threads_gives_the_same_bits(monkeypatch: pytest.MonkeyPat
 def test_blocks_do_not_change_the_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks smaller than the points, and than a point's samples, estimate the same thing."""
     scene = ptt.default_scene()
-    points = Points(*(x[::400] for x in reference.vertex_points(scene)))
+    points = reference.vertex_points(scene).take(slice(None, None, 400))
 
     def run(seed: int) -> Estimate:
         return radiance(scene, smooth_sky(), scene.materials, points, points.frame[:, 2], samples=500, seed=seed)
@@ -386,7 +386,7 @@ def test_far_from_the_origin() -> None:
     moved = replace(scene, vertices=scene.vertices + shift)
     runs = []
     for s in (scene, moved):
-        points = Points(*(x[::16] for x in reference.vertex_points(s)))
+        points = reference.vertex_points(s).take(slice(None, None, 16))
         light = Environment.constant()
         runs.append(radiance(s, light, s.materials, points, points.frame[:, 2], bounces=1, samples=256))
     assert float((runs[0].mean - runs[1].mean).abs().mean() / runs[0].mean.mean()) < 0.02
@@ -431,7 +431,7 @@ def test_tangents_reach_the_material(axis: int, expected: float) -> None:
     origins = torch.tensor([[0.3, 1.0, 0.1]]).expand(8, 3)
     down = torch.tensor([[0.0, -1.0, 0.0]]).expand(8, 3)
     at_hits = over_points(along_rays(scene, light, same(material, scene), origins, down, samples=8192))
-    points = Points(*(x[:1].expand(8, *x.shape[1:]) for x in reference.vertex_points(scene)))
+    points = reference.vertex_points(scene).take(torch.zeros(8, dtype=torch.int64))
     given = over_points(radiance(scene, light, same(material, scene), points, -down, samples=8192))
     for estimate in (at_hits, given):
         assert (estimate.standard_error < 0.01).all()

@@ -81,7 +81,7 @@ def test_on_a_sphere_the_lobe_follows_the_frame(shape: ptt.materials.shapes.Shap
     everywhere = vertex_points(scene)
     material = ptt.Material(0.1, 0.8, shape)
     for vertex in (40, 300):
-        points = Points(*(part[vertex : vertex + 1] for part in everywhere))
+        points = everywhere.take(slice(vertex, vertex + 1))
         frame = points.frame[0]
         wo = torch.nn.functional.normalize(frame[2] + 0.8 * frame[0] - 0.3 * frame[1], dim=0)[None]
         materials = {region.name: material for region in scene.regions}

@@ -40,7 +40,7 @@ def test_against_the_path_tracer(small_scene: ptt.Scene, material: ptt.Material)
     given = {region.name: material for region in small_scene.regions}
     at = facing(small_scene)
     got = relighter(SKY, given, small_scene.camera)[at]
-    points = reference.Points(*(x[at] for x in reference.vertex_points(small_scene)))
+    points = reference.vertex_points(small_scene).take(at)
     wo = small_scene.camera.toward(points.position)
     truth = reference.radiance(small_scene, SKY, given, points, wo, samples=1024).mean
     assert ptt.relative_rmse(got, truth) < 0.05

@@ -211,7 +211,11 @@ def test_a_saved_model_keeps_what_varies(tmp_path: object) -> None:
     model = ptt.compress(ptt.precompute(scene, 1, resolution=16, rays=64))
     path = f"{tmp_path}/model.safetensors"
     model.save(path)
-    views = scene.materials, {}, {"floor": ptt.Mixed(ptt.lambert(0.2), ptt.lambert(0.4), 1 - share)}
+    views: list[dict[str, SurfaceMaterial]] = [
+        scene.materials,
+        {},
+        {"floor": ptt.Mixed(ptt.lambert(0.2), ptt.lambert(0.4), 1 - share)},
+    ]
     for given in views:
         one, two = (ptt.TransferRelighter(m)(SKY, given, scene.camera) for m in (model, ptt.TransferModel.load(path)))
         assert torch.equal(one, two)

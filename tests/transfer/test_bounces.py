@@ -422,7 +422,8 @@ def irradiance(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Over pi (v, 3): what arrives directly, after one reflection, and after two. Z_0 is 1 / sqrt(pi)."""
     made = paths(raw, models, light(environment))
-    h = coefficients(made.slots, models[1], [raw.receivers.materials[name] for name in raw.receivers.names])
+    own = [material for material in raw.receivers.materials.values() if isinstance(material, ptt.Material)]
+    h = coefficients(made.slots, models[1], own)
     every = torch.arange(len(raw.receivers))
     t1 = made.first_bounce(every)
     t2 = made.second_bounce(every, t1.transpose(1, 2).contiguous())
@@ -474,7 +475,7 @@ def test_against_path_tracing(
     )
     raw = ptt.precompute(scene, 2, resolution=N, rays=256)
     floor = torch.arange(0, len(sheet), 11)
-    points = reference.Points(*(part[floor] for part in reference.vertex_points(scene)))
+    points = reference.vertex_points(scene).take(floor)
     truth = [
         reference.radiance(scene, environment, scene.materials, points, scene.normals[floor], bounces=k, samples=24000)
         for k in range(reflections + 1)
