@@ -34,6 +34,7 @@ from ptt.scene.bumps import BumpMap
 from ptt.scene.camera import Camera
 from ptt.scene.default import default_scene
 from ptt.scene.hidden import without_hidden
+from ptt.scene.mitsuba_scenes import from_mitsuba
 from ptt.scene.scene import Region, Scene
 from ptt.scene.scene_files import load_scene
 from ptt.transfer.assembly import assemble
@@ -83,6 +84,7 @@ __all__ = [
     "cook_torrance",
     "default_scene",
     "fitted",
+    "from_mitsuba",
     "ggx",
     "lambert",
     "load_scene",

@@ -22,6 +22,7 @@ from torch.utils.weak import WeakTensorKeyDictionary
 from ptt.ops import latlong, lobes
 from ptt.ops.marks import mark
 from ptt.ops.octahedral import Octahedral, bordered
+from ptt.ops.sparse import product
 from ptt.ops.sphere import Grid
 from ptt.ops.view import light_about
 
@@ -84,7 +85,7 @@ def _blurred(light: Tensor, angle: float) -> Tensor:
     """The mean (BLURRED_SIDE ** 2, 3) under a lobe of light times solid angle (FINE_SIDE, FINE_SIDE, 3)."""
     n = SOURCE_SIDE.get(angle, BLURRED_SIDE)
     summed = Octahedral(n).coarsen(light, FINE_SIDE // n).reshape(-1, 3)
-    return summed / _solid_angles(n).to(light) if angle == 0 else _blur(angle, n).to(light) @ summed
+    return summed / _solid_angles(n).to(light) if angle == 0 else product(_blur(angle, n), summed)
 
 
 def turned(maps: Tensor, turn: Tensor) -> Tensor:

@@ -24,6 +24,7 @@ from torch import Tensor
 
 from ptt.ops import haar
 from ptt.ops.octahedral import corners, mix, octahedral
+from ptt.ops.sparse import product
 
 
 class OutgoingLight(NamedTuple):
@@ -35,7 +36,7 @@ class OutgoingLight(NamedTuple):
 
 def light_step(transfer: Tensor, lighting: Tensor, factors: int) -> Tensor:
     """U (c, i, v) from T0 as a sparse CSR matrix (i * v, l), rows ordered (i, v), i < factors, and lighting (l, c)."""
-    incident: Tensor = transfer @ lighting
+    incident = product(transfer, lighting)
     return incident.T.reshape(lighting.shape[1], factors, -1)
 
 

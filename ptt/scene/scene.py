@@ -57,7 +57,6 @@ class Scene:
     camera: the one given, or one that frames all parts
     environment: the one given, or None
     offset (3,) float64: what was subtracted from positions that lie far from the origin for their size, else 0
-    offset (3,) float64: what was subtracted from the positions of a scene far from the origin, else 0
     """
 
     vertices: Tensor

@@ -1,0 +1,51 @@
+"""Products of sparse matrices that torch.func can differentiate, as torch's own cannot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """A sparse matrix that torch.func does not see: it would wrap it, which sparse CSR tensors do not support.
+
+    transposed: says whether its transpose is meant
+    """
+
+    matrix: Tensor
+    transposed: bool
+
+
+class _Product(torch.autograd.Function):
+    """matrix @ dense, differentiable in what is dense, any number of times, forwards and backwards."""
+
+    @staticmethod
+    def forward(dense: Tensor, held: _Held) -> Tensor:
+        matrix = held.matrix.to(dense)
+        return (matrix.transpose(0, 1) if held.transposed else matrix) @ dense
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor, _Held], output: Tensor) -> None:
+        ctx.held = inputs[1]
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
+        return _product(gradient, _Held(ctx.held.matrix, not ctx.held.transposed)), None
+
+    @staticmethod
+    def jvp(ctx: Any, tangent: Tensor, _: None) -> Tensor:
+        return _product(tangent, ctx.held)
+
+
+def product(matrix: Tensor, dense: Tensor) -> Tensor:
+    """A sparse matrix (m, n) times a dense one (n, k), in the type and on the device of that."""
+    return _product(dense, _Held(matrix, False))
+
+
+def _product(dense: Tensor, held: _Held) -> Tensor:
+    result: Tensor = _Product.apply(dense, held)  # type: ignore[no-untyped-call]
+    return result
