@@ -26,8 +26,9 @@ from ptt.ops import brdf
 Map = Texture | Tensor
 """A value over a surface: a texture of one channel by the scene's uv, (h, w) that repeats, or (v,) of its vertices."""
 
-KNOTS = (SMOOTHEST, 0.05, 0.08, 0.12, 0.18, 0.27, 0.4, 0.6, 0.8, 1.0)
-"""Roughnesses between which textures are interpolated: a third to two thirds apart."""
+KNOTS = (SMOOTHEST, 0.08, 0.12, 0.17, 0.22, 0.28, 0.35, 0.43, 0.52, 0.62, 0.74, 0.87, 1.0)
+"""Roughnesses between which textures are interpolated. In a trial on a metal under three maps, between
+two of them what is reflected errs by 2 % as a rule and 4.3 % at most; with ten, 0.4 beside 0.6, by 15 %."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -183,9 +183,9 @@ class ClusterSteps(nn.Module):
         own = self.model.receivers.materials[self.model.receivers.names[region]]
         colour = self.points[region].colour
         if isinstance(material, Material):
-            coloured = self.model.brdf.space.coloured(material)
+            layer, coloured = self._layer(material, None)
             functions = slots.functions_of(self.basis, material, coloured, not isinstance(own, Material))
-            return RegionMaterial(functions, [self._layer(material, None)], colour)
+            return RegionMaterial(functions, [layer], colour)
         return self._varying(region, material, own)
 
     def _varying(self, region: int, material: Varying, own: SurfaceMaterial) -> RegionMaterial:
@@ -195,7 +195,7 @@ class ClusterSteps(nn.Module):
         there = [
             (layer, share) for layer, share in zip(material.layers, shares, strict=True) if bool((share > 0).any())
         ]
-        layers = [self._layer(layer, share) for layer, share in there]
+        layers = [self._layer(layer, share)[0] for layer, share in there]
         if material is own:
             functions = slots.whole_of(self.basis)
         else:
@@ -205,13 +205,14 @@ class ClusterSteps(nn.Module):
             functions = slots.mean_of(self.basis, material.layers, shares, tint, whole)
         return RegionMaterial(functions, layers, self.model.clustered[region].in_line(at.colour.to(shares)))
 
-    def _layer(self, material: Material, share: Tensor | None) -> LayerTables:
-        """The tables of a material that is the same everywhere."""
+    def _layer(self, material: Material, share: Tensor | None) -> tuple[LayerTables, Tensor]:
+        """The tables of a material that is the same everywhere, and its coordinates (h, c) in the space."""
         brdf = self.model.brdf
         highlights = brdf.space.highlights(material)
+        coloured = brdf.space.mixed(highlights)
         lobes = [self._lobes(*highlight) for highlight in highlights] if brdf.angles else []
-        coupling = brdf.coupling(material, brdf.space.mixed(highlights))
-        return LayerTables(coupling, [one for one in lobes if one is not None], share)
+        coupling = brdf.coupling(material, coloured)
+        return LayerTables(coupling, [one for one in lobes if one is not None], share), coloured
 
     def _lobes(self, coordinates: Tensor, colour: Tensor) -> MaterialLobes | None:
         """The lobes of a shape, by its coordinates in the space; None where all are dull."""

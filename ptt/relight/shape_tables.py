@@ -11,7 +11,7 @@ from ptt.materials.shapes import Shape, carries_gradient, shape_key
 from ptt.ops.compiling import in_python
 
 T = TypeVar("T")
-REMEMBERED = 32  # shapes: a material with textures has up to 20 at once
+REMEMBERED = 32  # shapes: a material with textures has up to 26 at once
 
 
 @in_python

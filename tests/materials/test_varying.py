@@ -101,8 +101,8 @@ def test_mixed_is_linear() -> None:
 
 def test_layers_only_of_the_roughnesses_that_there_are() -> None:
     few = ptt.MetalRough(roughness=0.5, roughness_map=ptt.Texture(torch.tensor([[[0.6], [0.7]]])))
-    assert few.knots == (0.27, 0.4) and few.groups == ((0, 1, 2, 3),)
-    assert ptt.MetalRough(roughness=0.4, roughness_map=torch.ones(3)).knots == (0.4,)
+    assert few.knots == (0.28, 0.35) and few.groups == ((0, 1, 2, 3),)
+    assert ptt.MetalRough(roughness=0.43, roughness_map=torch.ones(3)).knots == (0.43,)
     assert ptt.MetalRough(roughness=0.0, roughness_map=torch.rand(3)).knots == (0.03,)
     assert ptt.MetalRough(roughness_map=torch.tensor([0.0, 1.0])).knots == KNOTS
 
