@@ -4,7 +4,7 @@ Khronos, glTF 2.0 specification; numbers of sections are its own. `ptt.scene.glt
 
 Example:
     >>> file = gltf.open_file(Path("chair.glb"))
-    >>> gltf.array(file, file.tree["meshes"][0]["primitives"][0]["attributes"]["POSITION"]).shape
+    >>> gltf.array(file, file.tree["meshes"][0]["primitives"][0]["attributes"]["POSITION"], "VEC3").shape
     (5210, 3)
 """
 
@@ -157,11 +157,13 @@ def _at_uri(path: Path, uri: str | None) -> bytes | None:
     return file.read_bytes()
 
 
-def array(file: File, index: int) -> NDArray[Any]:
+def array(file: File, index: int, *types: str) -> NDArray[Any]:
     """An accessor (count, numbers) (3.6.2): float32 where it is or is normalised to fractions, else its integers.
 
+    types: those of WIDTHS that it may have
+
     Raises:
-        ValueError: it is damaged, or reads beyond its buffer.
+        ValueError: it is damaged, of another type, or reads beyond its buffer.
     """
     accessor = file.item("accessors", index)
     count = accessor.get("count")
@@ -170,6 +172,8 @@ def array(file: File, index: int) -> NDArray[Any]:
     if not isinstance(count, int) or count < 1 or kind is None or width is None:
         raise ValueError(f"{file.path.name}: accessors[{index}] is damaged: {accessor}")
     what = f"accessors[{index}]"
+    if accessor["type"] not in types:
+        raise ValueError(f"{file.path.name}: {what} must be {' or '.join(types)}, got {accessor['type']}")
     if "bufferView" in accessor:
         values = _view(file, accessor["bufferView"], accessor.get("byteOffset", 0), kind, count, width, what)
     elif count > _BLANK:
@@ -186,12 +190,24 @@ def array(file: File, index: int) -> NDArray[Any]:
 _BLANK = 1 << 24  # elements of zeros that an accessor without data may have
 
 
+def indices(file: File, index: int, kind: str) -> NDArray[np.int64]:
+    """An accessor of unsigned integers (count, numbers), which number vertices or joints.
+
+    Raises:
+        ValueError: as `array`; it has other numbers.
+    """
+    values = array(file, index, kind)
+    if values.dtype.kind != "u":
+        raise ValueError(f"{file.path.name}: accessors[{index}] must hold unsigned integers, got {values.dtype}")
+    return values.astype(np.int64)
+
+
 def _replace(file: File, values: NDArray[Any], sparse: dict[str, Any], kind: str, what: str) -> None:
     """Overwrite the elements that a sparse accessor lists."""
-    count, indices, new = sparse["count"], sparse["indices"], sparse["values"]
-    index_kind = COMPONENTS[indices["componentType"]]
-    rows = _view(file, indices["bufferView"], indices.get("byteOffset", 0), index_kind, count, 1, what)[:, 0]
-    if rows.size and int(rows.max()) >= len(values):
+    count, listed, new = sparse["count"], sparse["indices"], sparse["values"]
+    index_kind = COMPONENTS[listed["componentType"]]
+    rows = _view(file, listed["bufferView"], listed.get("byteOffset", 0), index_kind, count, 1, what)[:, 0]
+    if rows.dtype.kind != "u" or int(rows.max()) >= len(values):
         raise ValueError(f"{file.path.name}: {what} replaces element {int(rows.max())} of {len(values)}")
     values[rows] = _view(file, new["bufferView"], new.get("byteOffset", 0), kind, count, values.shape[1], what)
 
@@ -206,7 +222,13 @@ def _view(file: File, index: int, offset: int, kind: str, count: int, width: int
     size = np.dtype(kind).itemsize
     stride = view.get("byteStride") or size * width
     end = offset + stride * (count - 1) + size * width
-    if min(start, offset) < 0 or stride < size * width or end > length or start + end > len(file.buffers[number]):
+    if (
+        min(start, offset) < 0
+        or count < 1
+        or stride < size * width
+        or end > length
+        or start + end > len(file.buffers[number])
+    ):
         raise ValueError(f"{file.path.name}: {what} reads {end} bytes of a view that has {length}")
     shown: NDArray[Any] = np.ndarray((count, width), "<" + kind, file.buffers[number], start + offset, (stride, size))
     return shown.copy()

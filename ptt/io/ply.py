@@ -5,6 +5,7 @@ Turk, "The PLY Polygon File Format" (1994).
 
 from __future__ import annotations
 
+import re
 import struct
 from itertools import accumulate, chain
 from pathlib import Path
@@ -44,12 +45,21 @@ class Element(NamedTuple):
     properties: list[Property]
 
 
-class File(NamedTuple):
-    """What a file holds: properties and the types of their numbers, by the names of element and property; comments."""
+Elements = dict[str, dict[str, NDArray[np.float64] | Lists]]
+"""Properties, by the names of element and property."""
 
-    elements: dict[str, dict[str, NDArray[np.float64] | Lists]]
+
+class File(NamedTuple):
+    """What a file holds.
+
+    kinds: types of numbers, by the names of element and property
+    left: what follows the last element, which means nothing: bytes, or words of text
+    """
+
+    elements: Elements
     kinds: dict[tuple[str, str], str]
     comments: list[str]
+    left: int
 
 
 def read(path: Path) -> File:
@@ -63,22 +73,22 @@ def read(path: Path) -> File:
     try:
         read_body = _from_text if order == "" else _from_binary
         kinds = {(element.name, prop.name): prop.kind for element in elements for prop in element.properties}
-        return File(read_body(data[body:], elements, order), kinds, comments)
+        found, left = read_body(data[body:], elements, order)
+        return File(found, kinds, comments, left)
     except (ValueError, IndexError, struct.error) as error:
         raise ValueError(f"{path} is damaged, or cut short: {error}") from error
 
 
 def _header(path: Path, data: bytes) -> tuple[str, list[Element], list[str], int]:
     """The byte order ("" for text), the elements, the comments, and where the body begins."""
-    end = data.find(b"end_header")
-    if not data.startswith(b"ply") or end < 0:
+    begin = re.match(rb"ply[ \t]*(\r\n|\r|\n)", data)
+    end = begin and re.search(rb"[\r\n]end_header[ \t]*(" + begin[1] + rb"|\r?\n|$)", data)
+    if end is None:
         raise ValueError(f"{path} must be a PLY file: it has no header")
-    body = end + len(b"end_header")
-    body += 2 if data[body : body + 2] == b"\r\n" else 1
     order = None
     elements: list[Element] = []
     comments = []
-    for line in data[:end].decode("latin-1").splitlines()[1:]:
+    for line in re.split("[\r\n]+", _text(data[: end.start()]))[1:]:
         words = line.split()
         try:
             match words:
@@ -98,12 +108,20 @@ def _header(path: Path, data: bytes) -> tuple[str, list[Element], list[str], int
             raise ValueError(f"{path}: its header is damaged at {line!r}") from error
     if order is None:
         raise ValueError(f"{path}: its header names no format")
-    return order, elements, comments, body
+    return order, elements, comments, end.end()
 
 
-def _from_text(data: bytes, elements: list[Element], order: str) -> dict[str, dict[str, NDArray[np.float64] | Lists]]:
+def _text(data: bytes) -> str:
+    """The text of a header, UTF-8 or else Latin-1."""
+    try:
+        return data.decode()
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def _from_text(data: bytes, elements: list[Element], order: str) -> tuple[Elements, int]:
     words = data.split()
-    found: dict[str, dict[str, NDArray[np.float64] | Lists]] = {}
+    found: Elements = {}
     at = 0
     for element in elements:
         if not any(prop.counted_by for prop in element.properties):
@@ -132,7 +150,7 @@ def _from_text(data: bytes, elements: list[Element], order: str) -> dict[str, di
             prop.name: _property(prop, np.array(columns[prop.name][0], np.int64), np.array(columns[prop.name][1]))
             for prop in element.properties
         }
-    return found
+    return found, len(words) - at
 
 
 def _property(prop: Property, counts: NDArray[np.int64], values: NDArray[np.bytes_]) -> NDArray[np.float64] | Lists:
@@ -140,8 +158,8 @@ def _property(prop: Property, counts: NDArray[np.int64], values: NDArray[np.byte
     return Lists(counts, numbers) if prop.counted_by else numbers
 
 
-def _from_binary(data: bytes, elements: list[Element], order: str) -> dict[str, dict[str, NDArray[np.float64] | Lists]]:
-    found: dict[str, dict[str, NDArray[np.float64] | Lists]] = {}
+def _from_binary(data: bytes, elements: list[Element], order: str) -> tuple[Elements, int]:
+    found: Elements = {}
     at = 0
     for element in elements:
         lengths = _first_lengths(data, at, element, order)
@@ -153,7 +171,7 @@ def _from_binary(data: bytes, elements: list[Element], order: str) -> dict[str, 
                 at += element.size * dtype.itemsize
                 continue
         found[element.name], at = _row_by_row(data, at, element, order)
-    return found
+    return found, len(data[at:].strip(b"\0\r\n"))
 
 
 def _first_lengths(data: bytes, at: int, element: Element, order: str) -> list[int]:

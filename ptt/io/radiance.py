@@ -154,9 +154,11 @@ def _radiance(pixels: NDArray[np.float32], header: Header) -> NDArray[np.float32
 
 
 def _upright(pixels: NDArray[np.float32], order: tuple[str, str]) -> NDArray[np.float32]:
-    """Rows from the top, columns from the left."""
+    """Rows from the top, columns from the left, in a copy: numpy takes one line, turned around, for contiguous."""
+    if order == ("-Y", "+X"):
+        return pixels
     if order[0][1] == "X":
         pixels = pixels.swapaxes(0, 1)
     if "+Y" in order:
         pixels = pixels[::-1]
-    return pixels[:, ::-1] if "-X" in order else pixels
+    return (pixels[:, ::-1] if "-X" in order else pixels).copy()

@@ -16,6 +16,8 @@ Ints = NDArray[np.int64]
 HARMLESS = ("g", "o", "s", "mg", "shadow_obj", "trace_obj", "bevel", "c_interp", "d_interp", "lod", "vp")
 """Keywords that change no triangle, or that only other ones read."""
 NUMBERS = ("v", "vt", "vn")
+MOST = 1 << 53
+"""Beyond, float64 does not have every whole number."""
 MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
     (codecs.BOM_UTF32_LE, "utf-32"),
@@ -57,14 +59,20 @@ class Geometry(NamedTuple):
 
 
 def read_text(path: Path) -> str:
-    """The text of a file: UTF-8, UTF-16 or UTF-32 by its mark, else UTF-8, else Latin-1; tabs are spaces."""
+    """The text of a file: UTF-8, UTF-16 or UTF-32 by its mark, else UTF-8, else Latin-1; tabs are spaces.
+
+    Raises:
+        ValueError: UTF-16 or UTF-32 that is cut short.
+    """
     data = path.read_bytes()
     encoding = next((name for mark, name in MARKS if data.startswith(mark)), "utf-8")
     if encoding == "utf-8" and data[:200].count(b"\0") > len(data[:200]) / 3:
         encoding = "utf-16-le" if data[1:2] == b"\0" else "utf-16-be"  # without a mark
     try:
         text = data.decode(encoding)
-    except UnicodeDecodeError:
+    except UnicodeDecodeError as error:
+        if not encoding.startswith("utf-8"):
+            raise ValueError(f"{path} is damaged: {error}") from error
         text = data.decode("latin-1")
     text = text.lstrip("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     return text.replace("\\\n", " ").replace("\t", " ").replace("\0", " ")
@@ -156,8 +164,9 @@ def _faces(path: Path, material: str, rows: list[str], sizes: list[int]) -> Face
         raise ValueError(f"{path.name}: f must be indices such as 1/2/3: {error}") from error
     for axis, (name, size) in enumerate(zip(NUMBERS, sizes, strict=True)):
         given = corners[:, axis]
-        if given.size and (int(given.max()) >= size or (axis == 0 and int(given.min()) < 0)):
-            raise ValueError(f"{path.name}: a face asks for {name} {int(given.max()) + 1} of {size}")
+        for number in (int(given.min()), int(given.max())) if given.size else ():
+            if number >= size or number < (0 if axis == 0 else -1):
+                raise ValueError(f"{path.name}: a face asks for {name} {number + 1} of {size}")
     return Faces(material, counts, corners)
 
 
@@ -166,7 +175,10 @@ def _corners(words: list[str]) -> Ints:
     slashes = np.fromiter((word.count("/") for word in words), np.int64, len(words))
     corners = np.full((len(words), 3), -1, dtype=np.int64)
     if not slashes.any():
-        corners[:, 0] = np.array(words, np.float64).astype(np.int64) - 1
+        numbers = np.array(words, np.float64)
+        if not (np.abs(numbers) < MOST).all() or (numbers % 1).any():
+            raise ValueError(f"they must be whole numbers below {MOST}")
+        corners[:, 0] = numbers.astype(np.int64) - 1
         return corners
     padded = [word + "//"[: 2 - int(count)] for word, count in zip(words, slashes.tolist(), strict=True)]
     parts = "/".join(padded).split("/")

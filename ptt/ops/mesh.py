@@ -183,7 +183,12 @@ def apart(faces: Tensor, count: int) -> tuple[Tensor, Tensor]:
     rows = torch.arange(count, device=faces.device)
     ordered, order = faces.sort(1)
     flipped = (order[:, 0] - order[:, 1]) * (order[:, 1] - order[:, 2]) * (order[:, 2] - order[:, 0]) < 0
-    _, index = torch.unique(ordered, dim=0, return_inverse=True)
+    _, pairs = torch.unique(ordered[:, 0] * count + ordered[:, 1], return_inverse=True)
+    keys = pairs * count + ordered[:, 2]
+    alike = keys.sort().values
+    if not bool((alike[1:] == alike[:-1]).any()):
+        return faces, rows
+    _, index = torch.unique(keys, return_inverse=True)
     numbers = torch.arange(len(faces), device=faces.device)
     first = numbers.scatter_reduce(0, index, numbers, "amin", include_self=False)[index]
     back = flipped != flipped[first]
@@ -202,10 +207,10 @@ def looks_inwards(vertices: Tensor, faces: Tensor) -> bool:
         return False
     _, joined, _ = weld(vertices, faces)
     joined = joined[sound_faces(vertices, faces)]
-    edges = torch.stack((joined, joined.roll(-1, 1)), 2).reshape(-1, 2)
-    there, ways = torch.unique(edges, dim=0, return_counts=True)
-    back, others = torch.unique(edges.flip(1), dim=0, return_counts=True)
-    return torch.equal(there, back) and torch.equal(ways, others)
+    ahead = joined.roll(-1, 1)
+    there = (joined * len(vertices) + ahead).flatten().sort().values
+    back = (ahead * len(vertices) + joined).flatten().sort().values
+    return torch.equal(there, back)
 
 
 def subdivide(faces: Tensor, count: int, cut: Tensor | None = None) -> tuple[Tensor, Tensor]:

@@ -34,11 +34,10 @@ def read_parts(path: Path) -> list[Part]:
     Raises:
         ValueError: as `gltf.open_file`; the file is damaged, or shows no triangles.
     """
-    file = gltf.open_file(path)
     try:
-        reader = _Reader(file)
+        reader = _Reader(gltf.open_file(path))
         parts = reader.parts()
-    except (KeyError, IndexError, TypeError, AttributeError, OverflowError) as error:
+    except (KeyError, IndexError, TypeError, AttributeError, OverflowError, RuntimeError) as error:
         raise ValueError(f"{path} is damaged: {type(error).__name__}: {error}") from error
     if reader.losses:
         lost = ", ".join(f"{count} x {what}" for what, count in sorted(reader.losses.items()))
@@ -86,7 +85,10 @@ class _Reader:
             node = self.file.item("nodes", index)
             if index in self.world:
                 raise ValueError(f"{self.file.path} is damaged: node {index} has two parents, or is its own")
-            self.world[index] = parent @ _local(node)
+            with np.errstate(all="ignore"):
+                self.world[index] = parent @ _local(node)
+            if not np.isfinite(self.world[index]).all():
+                raise ValueError(f"{self.file.path} is damaged: node {index} has no finite place")
             extensions = node.get("extensions", {})
             if not extensions.get("KHR_node_visibility", {}).get("visible", True):
                 continue
@@ -110,9 +112,13 @@ class _Reader:
 
     def _instance_matrices(self, attributes: dict[str, int]) -> list[Matrix]:
         """The matrices of EXT_mesh_gpu_instancing."""
-        arrays = {name: gltf.array(self.file, index).astype(np.float64) for name, index in attributes.items()}
-        count = min(map(len, arrays.values()))
         keys = {"TRANSLATION": "translation", "ROTATION": "rotation", "SCALE": "scale"}
+        arrays = {
+            name: gltf.array(self.file, index, "VEC4" if name == "ROTATION" else "VEC3").astype(np.float64)
+            for name, index in attributes.items()
+            if name in keys
+        }
+        count = min(map(len, arrays.values()))
         return [_local({key: arrays[name][k] for name, key in keys.items() if name in arrays}) for k in range(count)]
 
     def _posed(self, part: Part, attributes: dict[str, int], skin: dict[str, Any]) -> Part:
@@ -120,13 +126,13 @@ class _Reader:
         joints = skin["joints"]
         inverse = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
         if "inverseBindMatrices" in skin:
-            inverse = gltf.array(self.file, skin["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2)
+            inverse = gltf.array(self.file, skin["inverseBindMatrices"], "MAT4").reshape(-1, 4, 4).swapaxes(1, 2)
         matrices = np.stack([self.world.get(j, np.eye(4)) @ m for j, m in zip(joints, inverse, strict=True)])
         blended = np.zeros((len(part.vertices), 4, 4))
         for k in range(len(attributes)):
             if f"JOINTS_{k}" in attributes:
-                which = gltf.array(self.file, attributes[f"JOINTS_{k}"]).astype(np.int64)
-                weights = gltf.array(self.file, attributes[f"WEIGHTS_{k}"]).astype(np.float64)
+                which = gltf.indices(self.file, attributes[f"JOINTS_{k}"], "VEC4")
+                weights = gltf.array(self.file, attributes[f"WEIGHTS_{k}"], "VEC4").astype(np.float64)
                 blended += np.einsum("vj,vjab->vab", weights, matrices[which])
         homogeneous = np.concatenate((part.vertices.double().numpy(), np.ones((len(blended), 1))), 1)
         vertices = torch.from_numpy(np.einsum("vab,vb->va", blended, homogeneous)[:, :3])
@@ -145,18 +151,20 @@ class _Reader:
             return None
         mesh = self.file.item("meshes", node["mesh"])
         weights = node.get("weights", mesh.get("weights", []))
-        vertices = self._morphed("POSITION", primitive, weights)
+        vertices = self._morphed("POSITION", primitive, weights, "VEC3")
+        normals = self._morphed("NORMAL", primitive, weights, "VEC3") if "NORMAL" in attributes else None
         faces = self._faces(primitive, mode, len(vertices))
         look = self.materials.of(primitive.get("material"), "COLOR_0" in attributes)
         colours = None
         if "COLOR_0" in attributes:
-            colours = torch.from_numpy(gltf.array(self.file, attributes["COLOR_0"])[:, :3].astype(np.float32))
+            given = self._morphed("COLOR_0", primitive, weights, "VEC3", "VEC4")[:, :3]
+            colours = torch.from_numpy(given.clip(0, 1).astype(np.float32))
         return Part(
             mesh.get("name", ""),
             torch.from_numpy(vertices),
             torch.from_numpy(faces),
-            normals=torch.from_numpy(self._morphed("NORMAL", primitive, weights)) if "NORMAL" in attributes else None,
-            uv=self._uv(attributes, look),
+            normals=torch.from_numpy(normals) if normals is not None else None,
+            uv=self._uv(primitive, weights, look),
             colours=colours,
             texture=look.texture,
             material=look.material,
@@ -164,19 +172,21 @@ class _Reader:
             glow=look.glow,
         )
 
-    def _morphed(self, name: str, primitive: dict[str, Any], weights: Sequence[float]) -> NDArray[np.float64]:
-        """An attribute (v, 3) with the morph targets by their weights (3.7.2.2)."""
-        values = gltf.array(self.file, primitive["attributes"][name]).astype(np.float64)
+    def _morphed(
+        self, name: str, primitive: dict[str, Any], weights: Sequence[float], *types: str
+    ) -> NDArray[np.float64]:
+        """An attribute (v, numbers) with the morph targets by their weights (3.7.2.2)."""
+        values = gltf.array(self.file, primitive["attributes"][name], *types).astype(np.float64)
         for weight, target in zip(weights, primitive.get("targets", []), strict=False):
             if weight and name in target:
-                values = values + weight * gltf.array(self.file, target[name])
+                values = values + weight * gltf.array(self.file, target[name], *types)
         return values
 
     def _faces(self, primitive: dict[str, Any], mode: int, count: int) -> NDArray[np.int64]:
         """The triangles (f, 3) of a primitive."""
         corners = np.arange(count)
         if "indices" in primitive:
-            corners = gltf.array(self.file, primitive["indices"])[:, 0].astype(np.int64)
+            corners = gltf.indices(self.file, primitive["indices"], "SCALAR")[:, 0]
             if corners.max() >= count:
                 raise ValueError(f"{self.file.path} is damaged: an index of {int(corners.max())} for {count} vertices")
         if mode == TRIANGLES:
@@ -187,14 +197,15 @@ class _Reader:
         faces[1::2] = faces[1::2][:, [0, 2, 1]]
         return faces
 
-    def _uv(self, attributes: dict[str, int], look: Look) -> Tensor | None:
+    def _uv(self, primitive: dict[str, Any], weights: Sequence[float], look: Look) -> Tensor | None:
         """Texture coordinates (v, 2), v up, those of its textures."""
         name = f"TEXCOORD_{look.uv_set}"
-        if name not in attributes:
+        if name not in primitive["attributes"]:
             if look.textured:
                 raise ValueError(f"{self.file.path}: a texture asks for {name}, which its mesh does not have")
             return None
-        uv = gltf.array(self.file, attributes[name]).astype(np.float64) @ look.uv_matrix[:, :2].T + look.uv_matrix[:, 2]
+        uv = self._morphed(name, primitive, weights, "VEC2")
+        uv = uv @ look.uv_matrix[:, :2].T + look.uv_matrix[:, 2]
         return torch.from_numpy(np.stack((uv[:, 0], 1 - uv[:, 1]), 1))
 
 

@@ -12,18 +12,45 @@ from ptt.ops import mesh
 from ptt.scene import gltf_parts, ply_parts, wavefront_parts
 from ptt.scene.parts import Part
 
+LARGEST = 1e18
+"""Of positions, and of one over their size: squares must stay within float32."""
+
 
 def read_parts(path: Path) -> list[Part]:
     """The parts of a mesh file, in world space, each of which becomes a region.
 
     Raises:
         ValueError: the file is missing, of another kind, damaged, has no triangles, or asks for what is not supported.
+            The message names the file.
     """
     if path.suffix.lower() not in READERS:
         raise ValueError(f"path must end in {', '.join(READERS)} or .toml, got {path}")
     if not path.is_file():
         raise ValueError(f"path must be an existing file, got {path}")
-    return READERS[path.suffix.lower()](path)
+    try:
+        parts = READERS[path.suffix.lower()](path)
+        for part in parts:
+            _check(part)
+    except ValueError as error:
+        if path.name in str(error):
+            raise
+        raise ValueError(f"{path}: {error}") from error
+    return parts
+
+
+def _check(part: Part) -> None:
+    """Refuse what the scene would, while the file's name is known."""
+    vertices = part.vertices.double()
+    mesh.check_mesh(vertices.float(), part.faces)
+    if not any(bool(mesh.sound_faces(vertices, some).any()) for some in part.faces.split(4096)):
+        raise ValueError(f"region {part.name!r} has no triangle with an area")
+    largest = float(vertices.abs().max())
+    size = float((vertices.amax(0) - vertices.amin(0)).max())
+    if largest > LARGEST or size < 1 / LARGEST:
+        raise ValueError(f"positions must lie within {LARGEST:g} and {1 / LARGEST:g}: {largest:g}, over {size:g}")
+    for name, values in (("texture coordinates", part.uv), ("colours", part.colours)):
+        if values is not None and (len(values) != len(vertices) or not bool(values.isfinite().all())):
+            raise ValueError(f"{name} of region {part.name!r} must be finite, one row a vertex")
 
 
 def _read_stl(path: Path) -> list[Part]:

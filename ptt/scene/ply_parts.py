@@ -40,6 +40,9 @@ def read_parts(path: Path) -> list[Part]:
         raise ValueError(f"{path} must have vertices with x, y and z")
     positions = np.stack([vertex[axis] for axis in "xyz"], 1)
     face = file.elements.get("face", {})
+    if file.left:
+        message = f"{path.name} was read without {file.left} bytes or words after its last element"
+        warnings.warn(message, UserWarning, stacklevel=4)
     triangles, corners = _faces(path, file, positions)
     if not len(triangles):
         raise ValueError(f"path must hold triangles: {path} has no faces")
@@ -71,8 +74,11 @@ def _faces(path: Path, file: ply.File, positions: Floats) -> tuple[Ints, Ints]:
     face = file.elements.get("face", {})
     lists = next((face[name] for name in INDICES if name in face), None)
     if isinstance(lists, ply.Lists) and len(lists.counts):
-        indices = _checked(path, lists.values.astype(np.int64), len(positions))
-        corners, _ = polygons.triangulate(positions[indices], lists.counts)
+        indices = _checked(path, lists.values, len(positions))
+        if bool((lists.counts == 3).all()):
+            corners = np.arange(indices.size).reshape(-1, 3)
+        else:
+            corners, _ = polygons.triangulate(positions[indices], lists.counts)
         return indices[corners], corners
     strip = file.elements.get("tristrips", {}).get("vertex_indices")
     found = [np.zeros((0, 3), np.int64)]
@@ -84,10 +90,13 @@ def _faces(path: Path, file: ply.File, positions: Floats) -> tuple[Ints, Ints]:
     return every, np.arange(every.size).reshape(-1, 3)
 
 
-def _checked(path: Path, indices: Ints, count: int) -> Ints:
-    if indices.size and not 0 <= int(indices.min()) <= int(indices.max()) < count:
-        raise ValueError(f"{path}: faces must index {count} vertices, got {int(indices.min())}..{int(indices.max())}")
-    return indices
+def _checked(path: Path, indices: Floats | Ints, count: int) -> Ints:
+    if indices.size and not (indices.min() >= 0 and indices.max() < count):
+        raise ValueError(f"{path}: faces must index {count} vertices, got {indices.min():.0f}..{indices.max():.0f}")
+    whole = indices.astype(np.int64)
+    if not np.array_equal(whole, indices):
+        raise ValueError(f"{path}: faces must index vertices by whole numbers")
+    return whole
 
 
 def _numbers(element: dict[str, Floats | ply.Lists]) -> dict[str, Floats]:

@@ -60,6 +60,7 @@ def read_parts(path: Path) -> list[Part]:
     """
     geometry = wavefront.read_obj(path)
     losses = Counter({f"{keyword} (not supported)": count for keyword, count in geometry.ignored.items()})
+    losses += Counter({"a face of fewer than three corners": sum(int((f.counts < 3).sum()) for f in geometry.faces)})
     looks = _looks(path, geometry.libraries, losses)
     parts = [_part(path, geometry, faces, looks, losses) for faces in geometry.faces]
     parts = [part for part in parts if len(part.faces)]

@@ -130,3 +130,45 @@ def test_a_cube_map_is_refused(tmp_path: Path) -> None:
     OpenEXR.File(header(envmap=OpenEXR.ENVMAP_CUBE), {"RGB": values()}).write(str(tmp_path / "a.exr"))
     with pytest.raises(ValueError, match="exrenvmap -latlong"):
         exr.read(tmp_path / "a.exr")
+
+
+def test_alpha_stands_beside_colours_and_chromaticities(tmp_path: Path) -> None:
+    """Chromaticities change colours alone: white stays white, and alpha what it was."""
+    pixels = {name: np.full((2, 4), value, np.float16) for name, value in zip("RGBA", (1, 1, 1, 0.25), strict=True)}
+    wide = (0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329)
+    OpenEXR.File(header(chromaticities=wide), pixels).write(str(tmp_path / "a.exr"))
+    read = exr.read(tmp_path / "a.exr")
+    assert read.dtype == np.float32 and np.allclose(read, (1, 1, 1, 0.25), atol=1e-4)
+
+
+def changed(path: Path, attribute: bytes, data: bytes, kind: bytes | None = None) -> None:
+    """Write other data, or another type, into an attribute of a file's header."""
+    file = path.read_bytes()
+    at = file.index(attribute + b"\0") + len(attribute) + 1
+    end = file.index(b"\0", at)
+    file = file[:at] + (kind or file[at:end]) + file[end : end + 5] + data + file[end + 5 + len(data) :]
+    path.write_bytes(file)
+
+
+@pytest.mark.parametrize("name", [b"dataWindow", b"displayWindow"])
+def test_a_window_that_no_pixels_would_fill_is_refused(tmp_path: Path, name: bytes) -> None:
+    """One that is four million pixels wide takes a minute to read, and gigabytes."""
+    OpenEXR.File(header(), {"RGB": values()}).write(str(tmp_path / "a.exr"))
+    changed(tmp_path / "a.exr", name, struct.pack("<4i", 0, 0, 1 << 22, 5))
+    with pytest.raises(ValueError, match=r"a\.exr: .*of 4194305 x 6 pixels is damaged"):
+        exr.read(tmp_path / "a.exr")
+
+
+def test_an_attribute_of_another_type_is_refused(tmp_path: Path) -> None:
+    wide = (0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329)
+    OpenEXR.File(header(chromaticities=wide), {"RGB": values()}).write(str(tmp_path / "a.exr"))
+    changed(tmp_path / "a.exr", b"chromaticities", b"", b"chromaticitiez")
+    with pytest.raises(ValueError, match=r"cannot read .*a\.exr"):
+        exr.read(tmp_path / "a.exr")
+
+
+def test_pixels_that_are_cut_short_are_refused_as_such(tmp_path: Path) -> None:
+    OpenEXR.File(header(), {"RGB": values()}).write(str(tmp_path / "a.exr"))
+    (tmp_path / "a.exr").write_bytes((tmp_path / "a.exr").read_bytes()[:-9])
+    with pytest.raises(ValueError, match="its pixels are damaged, or cut short"):
+        exr.read(tmp_path / "a.exr")

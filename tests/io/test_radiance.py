@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ptt.io import colour, radiance
+from ptt.io import colour, images, radiance
 
 Array = NDArray[np.float64]
 
@@ -62,6 +62,15 @@ def test_every_scan_order_is_upright(tmp_path: Path, first: str, second: str, ru
     size = f"{first} {stored.shape[0]} {second} {stored.shape[1]}"
     read = radiance.read(write(tmp_path / "a.hdr", stored, size, runs=runs))
     assert np.array_equal(read, upright.astype(np.float32))
+
+
+@pytest.mark.parametrize("size", ["+Y 1 -X 14", "-X 14 +Y 1"])
+def test_one_line_turned_around_is_an_image(tmp_path: Path, size: str) -> None:
+    """numpy takes one line with a negative stride for contiguous, torch refuses it."""
+    upright = values(1)
+    stored = upright[:, ::-1] if size.startswith("+Y") else upright[:, ::-1].swapaxes(0, 1)
+    read = images.read_image(write(tmp_path / "a.hdr", stored, size))
+    assert np.array_equal(read.numpy(), upright.astype(np.float32))
 
 
 @pytest.mark.parametrize("runs", ["flat", "new"])

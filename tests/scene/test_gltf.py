@@ -7,6 +7,7 @@ import io
 import json
 import struct
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -196,6 +197,17 @@ def test_morph_targets_have_their_default_weights(tmp_path: Path) -> None:
     scene = load(asset, tmp_path)
     assert torch.equal(scene.vertices[:4], torch.from_numpy(QUAD) + torch.tensor([0, 0.5, 0]))
     assert torch.equal(scene.vertices[4:], 2 * torch.from_numpy(QUAD))
+
+
+def test_morph_targets_of_colours_and_coordinates(tmp_path: Path) -> None:
+    """Colours stay within 0..1, coordinates are morphed before v is turned up (3.7.2.2)."""
+    asset = Asset(COLOR_0=np.array([[0.5, 0.5, 0.5]] * 4, "<f4"), TEXCOORD_0=UV)
+    darker = np.array([[-0.5, 0.5, 2]] * 4, "<f4")
+    asset.primitive["targets"] = [{"COLOR_0": asset.array(darker), "TEXCOORD_0": asset.array(UV)}]
+    asset.mesh["weights"] = [0.5]
+    scene = load(asset, tmp_path)
+    assert scene.colours.tolist() == [[0.25, 0.75, 1]] * 4
+    assert scene.uv is not None and scene.uv.tolist() == [[0, -0.5], [1.5, -0.5], [1.5, 1], [0, 1]]
 
 
 def test_nodes_of_any_kind(tmp_path: Path) -> None:
@@ -437,6 +449,29 @@ def test_damage_is_refused(tmp_path: Path) -> None:
         path.write_bytes(whole[:length])
         with pytest.raises(ValueError, match=r"bad\.glb"):
             ptt.load_scene(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda asset: asset.tree["accessors"][0].update(type="VEC2"), r"accessors\[0\] must be VEC3, got VEC2"),
+        (lambda asset: asset.tree["accessors"][2].update(componentType=5122), "must hold unsigned integers"),
+        (lambda asset: asset.tree["nodes"][0].update(rotation=[0, 0, 1]), "not enough values"),
+        (lambda asset: asset.tree["nodes"][0].update(translation=[1e999, 0, 0]), "node 0 has no finite place"),
+        (lambda asset: asset.tree["accessors"][0].update(sparse={
+            "count": -1, "indices": {"bufferView": 2, "componentType": 5123}, "values": {"bufferView": 0},
+        }), r"accessors\[0\] reads"),
+        (lambda asset: setattr(asset, "blob", b"\0\0\x80\x7f" + asset.blob[4:]), "must be finite"),
+        (lambda asset: setattr(asset, "blob", bytes(48) + asset.blob[48:]), "no triangle with an area"),
+        (lambda asset: asset.tree.update(nodes=["all"]), "is damaged"),
+    ],
+)  # fmt: skip
+def test_numbers_that_are_none_of_the_specification_are_refused(
+    tmp_path: Path, change: Callable[[Asset], object], reason: str
+) -> None:
+    asset = Asset()
+    change(asset)
+    refused(asset, tmp_path, reason)
 
 
 def test_nothing_is_fetched(tmp_path: Path) -> None:

@@ -72,6 +72,18 @@ def test_a_texture_over_vertices_and_over_corners(tmp_path: Path) -> None:
     assert first == [[0, 0], [1, 0], [1, 1]] and second == [[0.5, 0], [1, 1], [0, 1]]
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+def test_a_texture_has_a_name_of_any_letters(tmp_path: Path, encoding: str) -> None:
+    """In UTF-8, the letter has a byte that ends lines of Latin-1."""
+    Image.new("RGB", (4, 4), (255, 0, 0)).save(tmp_path / "\u00c5.png")
+    text = "ply\nformat ascii 1.0\ncomment TextureFile \u00c5.png\nelement vertex 3\n"
+    text += "".join(f"property float {name}\n" for name in "xyzst")
+    text += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    text += "0 0 0 0 0\n1 0 0 0 0\n0 1 0 0 0\n3 0 1 2\n"
+    (tmp_path / "a.ply").write_bytes(text.encode(encoding))
+    assert load(tmp_path / "a.ply").colours.tolist() == [[1, 0, 0]] * 3
+
+
 def test_strips(tmp_path: Path) -> None:
     """Two strips in a list, as scans of laser have them: -1 ends a strip, and every second triangle turns."""
     header = (
@@ -105,6 +117,10 @@ def test_colours_by_their_type(tmp_path: Path, kind: str, white: float) -> None:
         (("element vertex 3", "element vertex 4"), "damaged, or cut short"),
         (("3 0 1 2", "3 0 1 9"), r"faces must index 3 vertices, got 0\.\.9"),
         (("3 0 1 2", "3 0 1"), "damaged, or cut short"),
+        (("3 0 1 2", "3 0 1 1.5"), "whole numbers"),
+        (("1 0 0", "nan 0 0"), "must be finite"),
+        (("1 0 0\n0 1 0", "1e30 0 0\n0 1e30 0"), "must lie within"),
+        (("0 1 0", "2 0 0"), "no triangle with an area"),
         (("property float z", "property float w"), "vertices with x, y and z"),
         (("element face 1", "element face 0"), "has no faces"),
     ],
@@ -115,6 +131,26 @@ def test_damage_is_refused(tmp_path: Path, change: tuple[str, str], reason: str)
     (tmp_path / "a.ply").write_text(text.replace(*change))
     with pytest.raises(ValueError, match=rf"a\.ply.*{reason}"):
         ptt.load_scene(tmp_path / "a.ply")
+
+
+def test_a_header_may_speak_of_its_end(tmp_path: Path) -> None:
+    text = "ply\nformat ascii 1.0\ncomment until end_header\nelement vertex 3\nproperty float x\nproperty float y\n"
+    text += "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    text += "0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+    for end in ("\n", "\r\n", "\r"):
+        (tmp_path / "a.ply").write_bytes(text.replace("\n", end).encode())
+        assert load(tmp_path / "a.ply").faces.tolist() == [[0, 1, 2]]
+
+
+def test_what_follows_the_last_element_is_named(tmp_path: Path) -> None:
+    """A count that is too low leaves a face out; blanks and zeros at the end are nothing."""
+    text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    text += "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+    (tmp_path / "a.ply").write_text(text + "\n \n")
+    load(tmp_path / "a.ply")
+    (tmp_path / "a.ply").write_text(text + "3 2 1 0\n")
+    with pytest.warns(UserWarning, match=r"a\.ply was read without 4 bytes or words after its last element"):
+        assert len(ptt.load_scene(tmp_path / "a.ply").faces) == 1
 
 
 def test_positions_far_away_lose_nothing(tmp_path: Path) -> None:

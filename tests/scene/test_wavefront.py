@@ -137,6 +137,9 @@ def test_what_is_left_out_is_named(tmp_path: Path, mtl: str, lost: str) -> None:
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf -4 -2 -1\n", "a face asks for v"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/5 2/5 3/5\n", "a face asks for vt 5 of 0"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf one two three\n", "f must be indices"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1.5 2.5 3.5\n", "whole numbers"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 1e30\n", "whole numbers"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/-3 2/1 3/1\n", "a face asks for vt -1 of 1"),
         ("v 0 0 0\nv 1 0 0\n", "has no faces"),
         ("mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "kd of a must be RGB, got spectral"),
     ],
@@ -144,3 +147,16 @@ def test_what_is_left_out_is_named(tmp_path: Path, mtl: str, lost: str) -> None:
 def test_damage_is_refused(tmp_path: Path, text: str, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         load(tmp_path, text, "newmtl a\nKd spectral file.rfl\n")
+
+
+def test_half_a_character_is_damage(tmp_path: Path) -> None:
+    """Read as bytes, "10" in UTF-16 would become the two numbers 1 and 0."""
+    (tmp_path / "a.obj").write_bytes("v 0 0 0\nv 10 0 0\nv 0 10 0\nf 1 2 3\n".encode("utf-16")[:-1])
+    with pytest.raises(ValueError, match=r"a\.obj is damaged"):
+        ptt.load_scene(tmp_path / "a.obj")
+
+
+def test_a_face_of_two_corners_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2\n")
+    with pytest.warns(UserWarning, match=r"a\.obj was read without a face of fewer than three corners"):
+        assert len(ptt.load_scene(tmp_path / "a.obj").faces) == 1
