@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar
 
 import torch
@@ -256,6 +256,11 @@ def check_number(name: str, value: Number, low: float, high: float) -> None:
 def _blend(shapes: Sequence[Mapping[str, Any]], weights: Sequence[float]) -> Blend:
     """A blend from the configs of its shapes."""
     return Blend(tuple(from_config(s) for s in shapes), tuple(weights))
+
+
+def reflecting_all(shape: Shape) -> Shape:
+    """The shape with a reflectance of 1 straight on, where it has one."""
+    return replace(shape, f0=1.0) if isinstance(shape, GGX | CookTorrance) else shape
 
 
 def is_mirror_symmetric(shape: Shape) -> bool:

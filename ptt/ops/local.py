@@ -29,7 +29,7 @@ FINEST_ANGLE = 1e-4  # [rad] half angle that the quadrature over narrow lobes re
 RINGS = 32  # half angles of that quadrature on either side of the horizon's bound
 ARCS = 24  # azimuths of that quadrature
 DIRECTIONS_AT_ONCE = 64  # of view, whose nodes take 7 MB
-TRIED_VIEWS = 100  # directions of view that tell whether a lobe falls between samples
+TRIED_VIEWS = 10  # along an edge of the directions of view that tell whether a lobe falls between samples
 LOW = 0.1  # height of a direction of view, 6 degrees: below it the quadrature is less exact
 RESOLVED = 0.01  # share of the reflected light, RMS over views, that samples on triangles may miss
 ZERO_WITHIN = 1e-9  # a coordinate this little below 0 counts as 0, so that the planes between mirror images are kept
@@ -84,19 +84,22 @@ def brdf(f: Callable[[Tensor, Tensor], Tensor], grid: Geodesic, wo: Tensor, samp
 
 
 def brdf_table(
-    f: Callable[[Tensor, Tensor], Tensor], grid: Geodesic, views: int, mirrored: bool, samples: int = 4
+    f: Callable[[Tensor, Tensor], Tensor],
+    grid: Geodesic,
+    views: int,
+    mirrored: bool,
+    narrow: bool = False,
+    samples: int = 4,
 ) -> Tensor:
     """F (views^2, n) of a BRDF for all directions of `HemiOctahedral(views)`.
 
     mirrored: says that f is its own mirror image in x and in y, as the grid is; then only a quarter of it is sampled
-
-    A lobe that falls between the samples of a triangle is integrated over nodes of its own (`narrow_brdf`).
+    narrow: says that its lobe falls between the samples of a triangle (`is_narrow`): it has nodes of its own then
     """
     wo = HemiOctahedral(views).directions().reshape(-1, 3)
     quarter = ((wo[:, 0] > -ZERO_WITHIN) & (wo[:, 1] > -ZERO_WITHIN)).nonzero()[:, 0]
     rows = quarter if mirrored else torch.arange(len(wo))
-    resolved = _resolved(f, grid, wo, samples)
-    found = brdf(f, grid, wo[rows], samples) if resolved else narrow_brdf(f, grid, views, mirrored, rows, samples)
+    found = narrow_brdf(f, grid, views, mirrored, rows, samples) if narrow else brdf(f, grid, wo[rows], samples)
     if not mirrored:
         return found
     table = torch.empty(len(wo), grid.cells, dtype=torch.float32)
@@ -134,14 +137,14 @@ def narrow_brdf(
     return table
 
 
-def _resolved(f: Callable[[Tensor, Tensor], Tensor], grid: Geodesic, wo: Tensor, samples: int) -> bool:
-    """Tell whether samples on triangles find what a BRDF reflects, to RESOLVED, of some directions of view (o, 3)."""
-    some = wo[:: max(1, len(wo) // TRIED_VIEWS)]
+def is_narrow(f: Callable[[Tensor, Tensor], Tensor], grid: Geodesic, samples: int = 4) -> bool:
+    """Tell whether samples on triangles miss more than RESOLVED of what a BRDF reflects, seen from some directions."""
+    some = HemiOctahedral(TRIED_VIEWS).directions().reshape(-1, 3)
     some = some[some[:, 2] > LOW]
     wi, weights = nodes(some, FINEST_ANGLE, RINGS, ARCS)
     albedo = (f(wi, some[:, None].expand_as(wi)) * weights).nan_to_num().sum(1)
     sampled = brdf(f, grid, some, samples).sum(1) * (ROOTS / grid.cells)
-    return bool(((sampled - albedo).square().sum() <= RESOLVED**2 * albedo.square().sum()).all())
+    return bool((sampled - albedo).square().sum() > RESOLVED**2 * albedo.square().sum())
 
 
 def _nearness(level: int) -> Callable[[Tensor, Tensor], Tensor]:

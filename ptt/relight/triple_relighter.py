@@ -15,7 +15,7 @@ from ptt.imaging.atlas import Atlas
 from ptt.imaging.gbuffer import GBuffer
 from ptt.light.environment import Environment
 from ptt.materials.material import Material
-from ptt.materials.shapes import Shape, is_mirror_symmetric
+from ptt.materials.shapes import Shape, is_mirror_symmetric, reflecting_all
 from ptt.materials.varying import SurfaceMaterial
 from ptt.models.cache import Cache, watched
 from ptt.ops import haar, local, rotation
@@ -333,7 +333,8 @@ class TripleProductRelighter(Relighter):
 
     def _table(self, shape: Shape) -> Table:
         """F (o, n) of a shape."""
-        table = local.brdf_table(shape.evaluate, self.grid, self.views, is_mirror_symmetric(shape))
+        narrow = local.is_narrow(reflecting_all(shape).evaluate, self.grid)  # alike for all f0, in which F is linear
+        table = local.brdf_table(shape.evaluate, self.grid, self.views, is_mirror_symmetric(shape), narrow)
         return Table(*(x.to(self.dull.device) for x in stored(table, self.storage)))
 
     def _no_table(self) -> Table:

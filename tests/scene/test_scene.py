@@ -191,7 +191,7 @@ def test_from_mesh_checks_what_it_is_given() -> None:
         r"uv must be finite: 4 of 4": {"uv": torch.full((4, 2), torch.nan)},
         r"colours must be \(4, 3\)": {"colours": v[:, :2]},
         r"texture needs uv": {"texture": torch.ones(2, 2, 3)},
-        r"texture must be \(h, w, 3\)": {"texture": torch.ones(2, 2), "uv": v[:, :2]},
+        r"texture must be linear \(h, w, c\)": {"texture": torch.ones(2, 2), "uv": v[:, :2]},
     }.items():
         with pytest.raises(ValueError, match=message):
             Scene.from_mesh(v, f, **options)  # type: ignore[arg-type]
