@@ -229,7 +229,10 @@ class BRDFSpace:
         if isinstance(shape, Named):
             return self._by_name(shape.name)
         family = self._family(shape)
-        return torch.zeros(len(self.samples), dtype=torch.float64).index_put((family.rows,), family.weights(shape))
+        weights = family.weights(shape)
+        if len(weights) == len(self.samples):
+            return weights
+        return torch.zeros(len(self.samples), dtype=torch.float64).index_put((family.rows,), weights)
 
     def coloured(self, material: Material) -> Tensor:
         """Weights (h, 3) of the samples, float64, that interpolate what a material has around its diffuse part.
@@ -248,7 +251,7 @@ class BRDFSpace:
     def mixed(self, highlights: Iterable[tuple[Tensor, Tensor]]) -> Tensor:
         """Weights (h, 3) of the samples, of the coordinates and colours of highlights."""
         parts = [weights[:, None] * colour.to(weights) for weights, colour in highlights]
-        return torch.stack(parts).sum(0) if parts else torch.zeros(len(self.samples), 3, dtype=torch.float64)
+        return sum(parts[1:], parts[0]) if parts else torch.zeros(len(self.samples), 3, dtype=torch.float64)
 
     def resolved(self, shape: Shape | Tensor) -> Tensor:
         """The coordinates (h,) of a shape; a tensor is taken for coordinates."""

@@ -96,7 +96,9 @@ class BRDFBasis(nn.Module):
 
     def coefficients(self, material: Material) -> Tensor:
         """H (1 + p, 3) of a material, which may lie between samples; differentiable in its weights and parameters."""
-        specular = self.table.T @ self.space.coloured(material).to(self.table)
+        highlights = self.space.highlights(material)
+        parts = [self.of_shape(weights)[:, None] * colour.to(self.table) for weights, colour in highlights]
+        specular = sum(parts[1:], parts[0]) if parts else self.table.new_zeros(self.table.shape[1], 3)
         return torch.cat((material.diffuse.to(self.table)[None], specular))
 
     def of_shape(self, shape: Shape | Tensor) -> Tensor:
