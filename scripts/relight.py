@@ -48,7 +48,7 @@ class Config:
     specular: tuple[float, float, float] = (0.5, 0.6, 0.5)
     """Weight of its highlight."""
     exponent: float = 16.0
-    """Sharpness of its highlight, 1..200; a shape other than Blinn-Phong stays as it is in the scene."""
+    """Sharpness of its highlight, 0..1e6; a shape other than Blinn-Phong stays as it is in the scene."""
     turn: float = 110.0
     """Turn of the light about the vertical axis, degrees."""
     orbit: float = -50.0
