@@ -20,7 +20,7 @@ FAR = 1000.0  # sizes from the origin, where float32 rounds positions to 6e-5 of
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One region as a file or a user gives it; `Scene.from_mesh` explains the fields."""
+    """One region as a file or a user gives it; `Scene.from_mesh` explains the fields, `Region` the last three."""
 
     name: str
     vertices: Tensor
