@@ -229,6 +229,18 @@ def materials_of_regions(own: Mapping[str, SurfaceMaterial], given: Mapping[str,
     return {name: given.get(name, material) for name, material in own.items()}
 
 
+def looked_up(given: Map, uv: Tensor | None) -> Tensor:
+    """A texture's values (n,) at texture coordinates (n, 2); given: a map that is not of vertices.
+
+    Raises:
+        ValueError: there are no coordinates.
+    """
+    if uv is None:
+        raise ValueError("a map (h, w) needs a scene with uv: give (v,), of the vertices, instead")
+    texture = given if isinstance(given, Texture) else Texture(given[..., None])
+    return texture.at(uv)[:, 0]
+
+
 def all_shares(material: SurfaceMaterial, at: LayersAt) -> Tensor:
     """How much of each of a material's layers (k, n, 3) there is at points: 0 of those of other groups."""
     index = torch.tensor(material.groups, device=at.group.device)[at.group]  # shape: (n, m)

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from ptt.io.saved import Shapes
 from ptt.materials.material import LayersAt, Material
-from ptt.materials.textures import Texture
-from ptt.materials.varying import Map, SurfaceMaterial, Varying, from_config, same, to_config
+from ptt.materials.varying import Map, SurfaceMaterial, Varying, from_config, looked_up, same, to_config
 from ptt.scene.scene import Scene
 
 
@@ -117,10 +116,7 @@ class Receivers:
             if len(given) != len(self):
                 raise ValueError(f"a map must have {len(self)} values, the model's points, got {len(given)}")
             return given.to(self.colours)
-        if self.uv is None:
-            raise ValueError("a map (h, w) needs a scene with uv: give (v,), of the vertices, instead")
-        texture = given if isinstance(given, Texture) else Texture(given[..., None])
-        return texture.at(self.uv)[:, 0]
+        return looked_up(given, self.uv)
 
     def layers_at(self, region: int, material: SurfaceMaterial) -> LayersAt:
         """The layers of a material (`at_points`) at the points of a region."""

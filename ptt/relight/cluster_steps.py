@@ -151,8 +151,8 @@ class ClusterSteps(nn.Module):
     @uncompiled
     def incident(self, environment: Environment) -> ClusterLight:
         """The light step."""
-        arriving = self.arriving(self.light(environment))
-        return ClusterLight(arriving, *self.light.blurred(environment))
+        light, maps, turn = self.light.with_lobes(environment)
+        return ClusterLight(self.arriving(light), maps, turn)
 
     def arriving(self, light: Tensor) -> list[ArrivingLight]:
         """What arrives at the eigen-points of every region, of lighting (c, 6, n, n)."""

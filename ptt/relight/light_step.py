@@ -45,12 +45,24 @@ class LightStep(nn.Module):
     @uncompiled
     def forward(self, environment: Environment) -> Tensor:
         """L (3, *grid.shape)."""
-        first, *others = [self._projected(layer) for layer in environment.layers]
+        return self._light(environment, self._ready(environment))
+
+    def with_lobes(self, environment: Environment) -> tuple[Tensor, Tensor, Tensor]:
+        """L, the light blurred by each lobe (k, cells, 4), and its turn (3, 3): world = turn @ map."""
+        ready = self._ready(environment)
+        return self._light(environment, ready), *self._lobes(environment, ready)
+
+    def _ready(self, environment: Environment) -> list[LightMaps]:
+        """The maps of every layer."""
+        return [self.maps(layer) for layer in environment.layers]
+
+    def _light(self, environment: Environment, ready: list[LightMaps]) -> Tensor:
+        first, *others = [self._projected(*pair) for pair in zip(environment.layers, ready, strict=True)]
         return sum(others, first)
 
-    def _projected(self, layer: Layer) -> Tensor:
+    def _projected(self, layer: Layer, ready: LightMaps) -> Tensor:
         """L of one map."""
-        light = self.projected(self.maps(layer).fine, layer.rotation.to(self.directions))
+        light = self.projected(ready.fine, layer.rotation.to(self.directions))
         return light * layer.gain.to(light).reshape(3, *[1] * len(self.shape)) if layer.changed else light
 
     def projected(self, fine: Tensor, turn: Tensor) -> Tensor:
@@ -58,18 +70,18 @@ class LightStep(nn.Module):
         lighting: Tensor = self._operations.lighting(fine, turn, self.directions, self.shares, self.shape)
         return lighting
 
-    def blurred(self, environment: Environment) -> tuple[Tensor, Tensor]:
-        """The light blurred by each lobe (k, cells, 4), and its turn (3, 3): world = turn @ map."""
+    def _lobes(self, environment: Environment, ready: list[LightMaps]) -> tuple[Tensor, Tensor]:
+        """The light blurred by each lobe, in the frame of the first layer, and that layer's turn."""
         first, *others = environment.layers
-        maps = self._blurred(first)
-        for layer in others:
+        maps = self._blurred(first, ready[0])
+        for layer, own in zip(others, ready[1:], strict=True):
             turn = first.rotation.T @ layer.rotation
-            more = self._blurred(layer)
+            more = self._blurred(layer, own)
             maps = maps + (more if torch.equal(first.rotation, layer.rotation) else prefiltered.turned(more, turn))
         return maps, first.rotation.to(self.directions)
 
-    def _blurred(self, layer: Layer) -> Tensor:
-        blurred = self.maps(layer).blurred
+    def _blurred(self, layer: Layer, ready: LightMaps) -> Tensor:
+        blurred = ready.blurred
         return blurred * pad(layer.gain, (0, 1)).to(blurred) if layer.changed else blurred
 
     @opaque

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ptt.light.environment import Environment
 from ptt.materials.textures import Texture
-from ptt.materials.varying import Map, SurfaceMaterial, describe
+from ptt.materials.varying import Map, SurfaceMaterial, describe, looked_up
 from ptt.ops import mesh
 from ptt.ops.octahedral import mix
 from ptt.ops.raycast import Surface
@@ -296,10 +296,7 @@ class Scene:
             if len(given) != len(self.vertices):
                 raise ValueError(f"a map must have {len(self.vertices)} values, the scene's vertices, got {len(given)}")
             return self.interpolated(given, triangle, barycentric)
-        if self.uv is None:
-            raise ValueError("a map (h, w) needs a scene with uv: give (v,), of the vertices, instead")
-        texture = given if isinstance(given, Texture) else Texture(given[..., None])
-        return texture.at(self.interpolated(self.uv, triangle, barycentric))[:, 0]
+        return looked_up(given, None if self.uv is None else self.interpolated(self.uv, triangle, barycentric))
 
     def albedo(self, triangle: Tensor, barycentric: Tensor) -> Tensor:
         """Linear base colour (n, 3) at hits: triangle (n,) index into faces, barycentric (n, 3).
