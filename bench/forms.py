@@ -23,7 +23,8 @@ FORMS = {
 }
 """By kernels or by torch, and whether torch.compile fuses what there is."""
 
-BLOCKS = 3
+BLOCKS = 5
+LASTING = 0.3  # seconds of a block at least: the mood of a machine lasts longer than a few frames
 NUMBERS = count(1)  # no two changes are alike
 
 
@@ -54,14 +55,14 @@ def four_forms(
         for form, taken in median.items():
             table.row(f"{name}, {step} changes, {form}", 1e3 * taken, "ms", f"{how}; {setting()}")
         ratio = median["torch.compile with kernels"] / median["kernels"]
-        aside = f"medians of {BLOCKS * repeats} frames each, in blocks by turns; {setting()}"
+        aside = f"medians of {BLOCKS} blocks by turns, of {repeats} frames and {LASTING} s at least; {setting()}"
         table.row(f"{name}, {step} changes, torch.compile with kernels over kernels", ratio, "", aside, "<= 1.03")
 
 
 def block(relighter: Any, change: Callable[[int], tuple[Any, ...]], repeats: int) -> list[float]:
-    """The seconds of frames one after the other, after two that compile, fill the caches and calm the threads."""
-    seconds = []
-    for _ in range(2 + repeats):
+    """The seconds of frames one after the other, at least so many, after two that compile, fill the caches and calm the threads."""
+    seconds: list[float] = []
+    while len(seconds) < 2 + repeats or sum(seconds[2:]) < LASTING:
         inputs = change(next(NUMBERS))
         start = time.perf_counter()
         relighter(*inputs)
