@@ -13,6 +13,7 @@ from collections.abc import Callable
 from types import CodeType
 from typing import Any, TypeVar, cast
 
+import torch
 from torch._C._dynamo import eval_frame
 
 SKIPPED = eval_frame._FrameExecStrategy(eval_frame._FrameAction.SKIP, eval_frame._FrameAction.DEFAULT)
@@ -59,6 +60,15 @@ def opaque(function: F) -> F:
             eval_frame.set_eval_frame(before)
 
     return cast("F", uncompiled(call))
+
+
+def spans(count: int, most: int) -> list[tuple[int, int]]:
+    """First and end of parts of at most so many of `count`, so that what is made of each stays in the cache.
+
+    One part, of all, in a graph: torch.compile keeps little of what it fuses in memory at all.
+    """
+    each = max(1, count if torch.compiler.is_compiling() else most)
+    return [(first, min(first + each, count)) for first in range(0, max(1, count), each)]
 
 
 def _skip(code: CodeType) -> None:

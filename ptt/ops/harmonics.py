@@ -48,7 +48,7 @@ def evaluate(directions: Tensor, order: int) -> Tensor:
             previous, current = current, a * (z * current - b * previous)
         cosine, sine = x * cosine - y * sine, x * sine + y * cosine
         diagonal *= math.sqrt((2 * m + 3) / (2 * m + 2))
-    return torch.stack(out, -1)
+    return torch.stack(out).movedim(0, -1)
 
 
 def hemispherical(order: int) -> Tensor:

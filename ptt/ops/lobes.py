@@ -22,7 +22,7 @@ from torch import Tensor
 
 from ptt.ops import harmonics
 from ptt.ops.constants import TINY
-from ptt.ops.octahedral import mix
+from ptt.ops.octahedral import sampled
 
 ANGLES = (0.0, 7.0, 14.0, 21.0)  # degrees that three standard deviations cover
 MIRROR = 3.5  # degrees that the 0-degree lobe covers
@@ -51,11 +51,9 @@ def lean(axes: Tensor, wo: Tensor) -> Tensor:
 
     A direction below the horizon has the axes of its mirror image above.
     """
-    index, weights = corners(wo, 1, axes.shape[2])
-    table = axes.to(wo).flatten(0, 1).T.contiguous()  # shape: (t, 2 k)
-    mixed = mix(table, index.reshape(-1, 2), weights.reshape(-1, 2)).reshape(*wo.shape[:-1], table.shape[1])
-    along, up = mixed.chunk(2, -1)  # shape: (..., k)
-    return torch.stack((-along * wo[..., :1], -along * wo[..., 1:2], up), -1)
+    along, up = lookup(axes.flatten(0, 1)[:, None], wo).chunk(2)  # shape: (k, ...)
+    x, y, _ = wo.unbind(-1)
+    return torch.stack((-along * x, -along * y, up)).movedim((0, 1), (-1, -2))
 
 
 def tilts_and_turns(isotropic: bool) -> Tensor:
@@ -68,30 +66,21 @@ def tilts_and_turns(isotropic: bool) -> Tensor:
 
 
 def lookup(table: Tensor, wo: Tensor) -> Tensor:
-    """Bilinear values (k, ...) of a table (k, p, t) over `tilts_and_turns`, at directions wo (..., 3)."""
-    index, weights = corners(wo, *table.shape[1:])
-    return (table.flatten(1)[:, index] * weights).sum(-1)
+    """Bilinear values (k, ...) of a table (k, p, t) over `tilts_and_turns`, at directions wo (..., 3).
 
-
-def corners(wo: Tensor, turns: int, tilts: int) -> tuple[Tensor, Tensor]:
-    """Cells (..., j) int64 of a flat table over `tilts_and_turns`, and their bilinear weights (..., j) at wo (..., 3).
-
-    A direction below the horizon has the cells of its mirror image above.
+    A direction below the horizon has the values of its mirror image above.
     """
-    angle = torch.atan2(wo[..., :2].square().sum(-1).sqrt(), wo[..., 2].abs())
-    tilt = (angle * (2 * tilts / math.pi) - 0.5).clamp(0, tilts - 1)
-    i = tilt.floor().clamp(max=max(tilts - 2, 0)).long()
-    a = tilt - i
-    index = torch.stack((i, (i + 1).clamp(max=tilts - 1)), -1)
-    weights = torch.stack((1 - a, a), -1)
-    if turns == 1:
-        return index, weights
-    turn = torch.atan2(wo[..., 1], wo[..., 0]) * (turns / (2 * math.pi)) % turns
-    j = turn.floor()
-    b = (turn - j)[..., None]
-    row = tilts * (j.long() % turns)[..., None]
-    after = tilts * ((j.long() + 1) % turns)[..., None]
-    return torch.cat((row + index, after + index), -1), torch.cat((weights * (1 - b), weights * b), -1)
+    k, turns, _ = table.shape
+    x, y, z = wo.unbind(-1)
+    tilt = torch.atan2((x * x + y * y).sqrt(), z.abs()) * (4 / math.pi) - 1
+    turn = torch.zeros_like(tilt)
+    if turns > 1:
+        table = torch.cat((table[:, -1:], table, table[:, :1]), 1)
+        turn = (torch.atan2(y, x) * (turns / (2 * math.pi)) % turns * 2 + 3) / (turns + 2) - 1
+    rows = math.prod(x.shape[:-1]), math.prod(x.shape[-1:])
+    at = torch.stack((tilt, turn)).reshape(2, *rows).transpose(0, 1)  # shape: (b, 2, w)
+    values = sampled(table.to(at).expand(len(at), -1, -1, -1), at)
+    return values.transpose(0, 1).reshape(k, *x.shape)
 
 
 def gaussian(angle: Tensor, lobe: float) -> Tensor:

@@ -14,6 +14,7 @@ from torch import Tensor
 from ptt.ops import slices
 from ptt.ops.directions import toward
 from ptt.ops.octahedral import corners, hemi_octahedral
+from ptt.ops.table import Table
 
 
 class Near(NamedTuple):
@@ -22,9 +23,15 @@ class Near(NamedTuple):
     rows: Tensor
     weights: Tensor
 
-    def mix(self, functions: Tensor) -> Tensor:
-        """(p, ..., n) of functions (p, k, ..., n)."""
-        return torch.einsum("pk,pk...->p...", self.weights.to(functions), functions)
+    def mix(self, table: Table) -> Tensor:
+        """(p, ..., n) of functions (f, ..., n), one row after the other: never are all of a point's in memory."""
+        values, scale = table
+        weights = (self.weights * scale[self.rows]).to(torch.promote_types(values.dtype, scale.dtype))
+        each = weights.T.reshape(weights.shape[1], -1, *(1,) * (values.ndim - 1))
+        total = each[0] * values.index_select(0, self.rows[:, 0])
+        for rows, weight in zip(self.rows.T[1:], each[1:], strict=True):
+            total = torch.addcmul(total, weight, values.index_select(0, rows).to(weight))
+        return total
 
     def one(self) -> Near:
         """The row of the largest weight alone."""

@@ -20,6 +20,7 @@ Example:
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
@@ -33,8 +34,7 @@ from ptt.ops.sphere import Squares, at_least_one, centres, crossed, step_index
 
 def octahedral(d: Tensor) -> Tensor:
     """Coordinates (a, b) (..., 2) on the map of the sphere of directions d (..., 3), which need not be unit."""
-    x, y, z = _on_octahedron(d)
-    return torch.stack(_folded(x, y, z), dim=-1)
+    return _last(_folded(*_on_octahedron(d)))
 
 
 def hemi_octahedral(d: Tensor) -> Tensor:
@@ -43,30 +43,27 @@ def hemi_octahedral(d: Tensor) -> Tensor:
     A direction below the horizon has the coordinates of its mirror image above.
     """
     x, y, _ = _on_octahedron(d)
-    return torch.stack((x + y, x - y), dim=-1)
+    return _last((x + y, x - y))
 
 
-def corners(ab: Tensor, n: int, wrap: bool, first: Tensor | None = None) -> tuple[Tensor, Tensor]:
+def corners(ab: Tensor, n: int, wrap: bool) -> tuple[Tensor, Tensor]:
     """Cells (..., 4) int64 and weights (..., 4) of a bilinear lookup at ab (..., 2) in a flat table (n * n, ...).
 
     wrap: beyond an edge of the square lie the edge's cells, mirrored about its middle, as an `Octahedral` map goes on;
         without, they are repeated, as fits a `HemiOctahedral` map
-    first (...): of each table's cells, where several lie one behind the other; without `wrap`
     """
     x, y = ((ab + 1) * (n / 2) - 0.5).unbind(-1)
     column, row = x.floor(), y.floor()
     a = x - column
     b = y - row
-    weights = torch.stack(((1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b), dim=-1)
+    weights = _last(((1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b))
     if wrap:
-        columns = torch.stack((column, column + 1, column, column + 1), dim=-1).long()
-        rows = torch.stack((row, row, row + 1, row + 1), dim=-1).long()
+        columns = _last((column, column + 1, column, column + 1)).long()
+        rows = _last((row, row, row + 1, row + 1)).long()
         return _mirrored(rows, columns, n), weights
     left, right = (each.clamp(0, n - 1).long() for each in (column, column + 1))
     above, below = (n * each.clamp(0, n - 1).long() for each in (row, row + 1))
-    if first is not None:
-        above, below = above + first, below + first
-    return torch.stack((above + left, above + right, below + left, below + right), dim=-1), weights
+    return _last((above + left, above + right, below + left, below + right)), weights
 
 
 def bordered(table: Tensor) -> Tensor:
@@ -192,9 +189,24 @@ def _folded(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
     return torch.where(z < 0, turned_x, x), torch.where(z < 0, turned_y, y)
 
 
+def _last(parts: Sequence[Tensor]) -> Tensor:
+    """Parts (...) as (..., parts), which lie one after the other in memory."""
+    return torch.stack(tuple(parts)).movedim(0, -1)
+
+
 def mix(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:
     """Weighted sums (n, x) of rows of a table (cells, x), by index and weights (n, j)."""
     return torch.nn.functional.embedding_bag(index, table, per_sample_weights=weights, mode="sum")
+
+
+def sampled(tables: Tensor, ab: Tensor) -> Tensor:
+    """Bilinear values (b, x, k) of tables (b, x, rows, columns) at ab (b, 2, k): -1..1 from edge to edge.
+
+    As `corners` without `wrap` and `mix`, but points are innermost, and no cells and weights are ever in memory.
+    """
+    grid = ab[:, :, None].movedim(1, 3)  # shape: (b, 1, k, 2)
+    values = torch.nn.functional.grid_sample(tables, grid, padding_mode="border", align_corners=False)
+    return values[:, :, 0]
 
 
 def tiles(n: int) -> Tensor:
@@ -207,3 +219,9 @@ def tiles(n: int) -> Tensor:
         raise ValueError(f"n must be a multiple of {TILE}, got {n}")
     order = torch.arange(n * n).reshape(n // TILE, n // TILE, TILE, TILE).transpose(1, 2)
     return order.flatten()
+
+
+def tiled(row: Tensor, column: Tensor, n: int) -> Tensor:
+    """The places (...) of the cells at whole rows and columns (...) of a grid of n x n cells in `tiles`."""
+    across = column + (column / TILE).floor() * (TILE * TILE - TILE)
+    return across + row * TILE + (row / TILE).floor() * (TILE * (n - TILE))

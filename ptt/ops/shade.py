@@ -17,12 +17,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ptt.ops.compiling import spans
 from ptt.ops.constants import ROOTS
 from ptt.ops.near import Near
 from ptt.ops.table import Table
 
 BYTE = 255.0
-_VALUES = 1 << 24  # a block
+_VALUES = 1 << 19  # of light, that are in the cache at once
+_RECORDED = 1 << 23  # the same where a derivative is recorded, which adds up the whole table for every part
 
 
 class Functions(NamedTuple):
@@ -76,20 +78,20 @@ class ShadedPoints(NamedTuple):
 
 def shade(functions: Functions, coats: RegionCoats, at: ShadedPoints) -> Tensor:
     """B (p, c); differentiable in the light, the weights and the colours."""
-    n = functions.dull.shape[0]
-    count = len(at.region)
-    step = max(1, _VALUES // (n * 8))
-    return torch.cat([_shaded(functions, coats, at.part(k, k + step)) for k in range(0, max(1, count), step)])
+    most = _RECORDED if functions.light.values.requires_grad else _VALUES
+    parts = spans(len(at.region), most // functions.light.values[0].numel())
+    return torch.cat([_shaded(functions, coats, at.part(*some)) for some in parts])
 
 
 def _shaded(functions: Functions, coats: RegionCoats, at: ShadedPoints) -> Tensor:
     light, visibility, dull, glossy = functions
     region = at.region.long()
-    factor = torch.zeros(())
+    seen = at.seen.mix(Table(visibility, dull.new_tensor(1 / BYTE).expand(len(visibility))))
+    lit = at.light.mix(light) * seen[:, None]  # shape: (p, c, n)
+    matt = at.colour * (lit @ dull.to(lit))
+    total = torch.zeros_like(matt)
     for diffuse, specular, first, share in zip(*coats, at.shares, strict=True):
-        mirrored = at.view.mix(glossy.at(at.view.rows + first[region][:, None]))[:, None]
-        coat = (diffuse[region] * at.colour)[..., None] * dull + specular[region][..., None] * mirrored
-        factor = factor.to(coat) + share[..., None] * coat
-    visible = at.seen.mix(visibility[at.seen.rows].to(dull) / BYTE)[:, None]
-    products: Tensor = at.light.mix(light.at(at.light.rows)) * visible * factor
-    return products.sum(2) * (ROOTS / len(dull))
+        mirrored = at.view._replace(rows=at.view.rows + first[region][:, None]).mix(glossy)
+        shine = (lit * mirrored[:, None]).sum(2)
+        total = total + share * (diffuse[region] * matt + specular[region] * shine)
+    return total * (ROOTS / len(dull))

@@ -22,11 +22,12 @@ from torch import Tensor
 
 from ptt.ops import haar, tucker
 from ptt.ops.directions import toward
-from ptt.ops.octahedral import HemiOctahedral, corners, hemi_octahedral, octahedral
+from ptt.ops.octahedral import HemiOctahedral, corners, hemi_octahedral, mix, octahedral
 
 BRDF = Callable[[Tensor, Tensor], Tensor]  # f(wi, wo): (..., 3), (..., 3) -> (...) [1/sr]
 ALIGNED = 16  # points, and terms, come in multiples of it
-_VALUES = 1 << 22  # a block, of BRDF values or of products
+_VALUES = 1 << 22  # a block of BRDF values
+_POINTS = 1 << 12  # whose products are in the cache at once
 
 
 class Slices(NamedTuple):
@@ -201,12 +202,12 @@ def reflected(light: Tensor, slices: Slices, first: Tensor, frames: Tensor, at: 
     eye (3,), or directions (3, v) from the points to the viewer; from behind, points look as from the mirrored side
     """
     which = first + _view_cell(slices.views, frames, at, eye)
+    _, rows, channels = light.shape
     parts = []
-    step = max(1, _VALUES // (slices.terms.shape[1] * 16))
-    for some, near, weights in zip(*(x.split(step, 1) for x in (which, at.near, at.weights)), strict=True):
-        values = slices.values[some].to(light) * weights[..., None].to(light)
-        picked = light[near[..., None].long(), slices.terms[some].long()]  # shape: (4, v, t, c)
-        parts.append(torch.einsum("kvt,kvtc->vc", values, picked))
+    for some, near, weights in zip(*(x.split(_POINTS, 1) for x in (which, at.near, at.weights)), strict=True):
+        terms, values = (x.index_select(0, some.flatten()) for x in slices[:2])  # shape: (4 * v, t)
+        found = mix(light.flatten(0, 1), rows * near.long().reshape(-1, 1) + terms, values.to(light))
+        parts.append((weights.to(light)[..., None] * found.reshape(*weights.shape, channels)).sum(0))
     return torch.cat(parts)
 
 

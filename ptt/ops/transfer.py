@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from ptt.ops import lobes
-from ptt.ops.octahedral import HemiOctahedral
+from ptt.ops.octahedral import HemiOctahedral, sampled
 from ptt.ops.raycast import Surface
 from ptt.ops.sphere import Cube
 
@@ -106,10 +106,7 @@ def _lobe_filters(cells: int, fine: int, angles: tuple[float, ...]) -> Tensor:
 
 def lookup(table: Tensor, local: Tensor) -> Tensor:
     """Bilinear values (b, i, k) of a table on the disk grid (i, n, n) at local directions (b, 3, k); z is unused."""
-    grid = local[:, None, :2].movedim(2, 3)  # shape: (b, 1, k, 2)
-    tables = table.expand(len(local), -1, -1, -1)
-    values = torch.nn.functional.grid_sample(tables, grid, padding_mode="border", align_corners=False)
-    return values[:, :, 0]
+    return sampled(table.expand(len(local), -1, -1, -1), local[:, :2])
 
 
 def direct_transfer(

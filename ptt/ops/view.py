@@ -22,11 +22,15 @@ import torch
 from torch import Tensor
 
 from ptt.ops import harmonics, lobes
+from ptt.ops.compiling import spans
+from ptt.ops.constants import TINY
 from ptt.ops.directions import toward
-from ptt.ops.octahedral import corners, hemi_octahedral, mix, octahedral, tiles
+from ptt.ops.octahedral import hemi_octahedral, octahedral, sampled, tiled
 from ptt.ops.relight import OutgoingLight
+from ptt.ops.transfer import lookup
 
 BYTE = 255.0
+_POINTS = 1 << 14  # whose products are in the cache at once
 
 
 class SurfaceBlocks(NamedTuple):
@@ -42,6 +46,12 @@ class SurfaceBlocks(NamedTuple):
     colour: Tensor | None
     cuts: Tensor
     place: Tensor
+
+    def part(self, first: int, end: int) -> SurfaceBlocks:
+        """Points first..end-1; `place` is that of all."""
+        colour = None if self.colour is None else self.colour[:, first:end]
+        rows = self.position[:, first:end], self.frame[:, :, first:end], colour
+        return SurfaceBlocks(*rows, self.cuts[first:end], self.place)
 
 
 class LitLobes(NamedTuple):
@@ -76,83 +86,107 @@ class ViewedRegion(NamedTuple):
     sent: OutgoingLight
     lobes: LitLobes | None
 
+    def part(self, first: int, end: int) -> ViewedRegion:
+        """Blocks first..end-1; its points keep the `place` of all."""
+        w = self.sent.values.shape[-1]
+        eye = self.eye if self.eye.ndim == 1 else self.eye[:, first * w : end * w]
+        sent = OutgoingLight(*(x[first:end] for x in self.sent))
+        return ViewedRegion(self.points.part(first * w, end * w), eye, sent, self.lobes)
+
 
 def view(regions: Sequence[ViewedRegion], outgoing: Tensor) -> Tensor:
     """B (v, c) of the points of all regions; outgoing (cells, o): V without the diffuse factor, on the disk grid."""
-    return torch.cat([_radiance(*region, outgoing) for region in regions])
+    return torch.cat([_seen(region, outgoing) for region in regions])
+
+
+def _seen(region: ViewedRegion, outgoing: Tensor) -> Tensor:
+    """B (v, c) of the points of a region."""
+    blocks = spans(len(region.sent.values), max(1, _POINTS // region.sent.values.shape[-1]))
+    parts = [_radiance(*region.part(*some), outgoing) for some in blocks]
+    return torch.cat(parts).transpose(1, 2).flatten(0, 1).index_select(0, region.points.place)
 
 
 def _radiance(
     points: SurfaceBlocks, eye: Tensor, sent: OutgoingLight, gloss: LitLobes | None, outgoing: Tensor
 ) -> Tensor:
+    """B (b, c, w) of points in blocks."""
     wo = _toward(points, eye)
     values = sent.values.to(outgoing.dtype)
     o = 1 + outgoing.shape[1]
-    factors = wo.new_zeros(wo.shape[1], 0)
-    if o > 1:
-        factors = mix(outgoing, *corners(wo.T[:, :2], _side(outgoing), wrap=False))
     diffuse = values[:, :, 0]
     if points.colour is not None:
         diffuse = diffuse * _blocks(points.colour, values)
     unit = sent.unit[:, None, None]
-    out = unit * (diffuse + _products(_blocks(factors.T, values), values[:, :, 1:o]))
+    factors = lookup(outgoing.T.unflatten(1, (_side(outgoing), -1)), _blocks(wo, values))
+    out = unit * (diffuse + _products(factors, values[:, :, 1:o]))
     if gloss is not None:
-        tilts = len(gloss.axes)
-        rho = mix(gloss.rho, *lobes.corners(wo.T, len(gloss.rho) // tilts, tilts))  # shape: (n, k)
-        axes = lobes.lean(gloss.axes.T.unflatten(0, (2, -1)), wo.T)  # shape: (n, k, 3)
+        rho, axes = _mirrored(gloss, _blocks(wo, values))
         seen = rho * _through(points.cuts, axes, gloss.which)
-        to_light = torch.einsum("rcn,cd->nrd", points.frame, gloss.turn)  # from local axes to those of the map
-        light = light_about(gloss.maps, axes @ to_light)
-        lit = _blocks(_sums(seen, light).T, values)
+        to_light = torch.einsum("rcn,cd->rdn", points.frame, gloss.turn)  # from local axes to those of the map
+        light = light_about(gloss.maps, _sums(to_light[:, :, None], axes[:, None]).permute(2, 1, 0))
+        lit = _blocks(_sums(seen[:, None], light.permute(1, 2, 0)), values)
         if values.shape[2] > o:
-            axis = torch.nn.functional.normalize(_sums(rho, axes), dim=1)
-            response = (rho @ gloss.blurs) * harmonics.evaluate(axis, round(gloss.blurs.shape[1] ** 0.5))
-            lit = lit + unit * _products(_blocks(response.T, values), values[:, :, o:])
+            mean = _sums(rho[:, None], axes.transpose(0, 1))
+            axis = mean / mean.square().sum(0).clamp(min=TINY).sqrt()
+            response = (gloss.blurs.T @ rho) * harmonics.evaluate(axis.T, round(gloss.blurs.shape[1] ** 0.5)).T
+            lit = lit + unit * _products(_blocks(response, values), values[:, :, o:])
         out = out + lit * gloss.specular[:, None]
-    return out.transpose(1, 2).flatten(0, 1).index_select(0, points.place)
+    return out
 
 
 def _toward(points: SurfaceBlocks, eye: Tensor) -> Tensor:
     """Local directions (3, n) to the eye."""
-    local = (points.frame * toward(eye, points.position, 0)).sum(1)
+    local = _sums(points.frame.transpose(0, 1), toward(eye, points.position, 0)[:, None])
     here = (local == 0).all(0)  # an eye in a point looks along its normal
     return torch.cat((local[:2], (local[2] + here.to(local))[None]))
 
 
+def _mirrored(gloss: LitLobes, wo: Tensor) -> tuple[Tensor, Tensor]:
+    """rho_k (k, n) and the axes (3, k, n) of lobes at local directions wo (b, 3, w)."""
+    towards = wo.transpose(1, 2)
+    rho = lobes.lookup(gloss.rho.T.unflatten(1, (-1, len(gloss.axes))), towards)
+    axes = lobes.lean(gloss.axes.T.unflatten(0, (2, -1)), towards)  # shape: (b, w, k, 3)
+    return rho.flatten(1), axes.flatten(0, 1).permute(2, 1, 0)
+
+
 def light_about(maps: Tensor, axes: Tensor) -> Tensor:
     """E_k (n, k, 3) about axes (n, k, 3) on maps (k, cells, 4)."""
-    k, cells, _ = maps.shape
-    n = math.isqrt(cells)
-    first = cells * torch.arange(k, device=axes.device)
-    index, weights = corners(octahedral(axes) * ((n - 2) / n), n, wrap=False, first=first)  # shape: (n, k, 4)
-    return mix(maps.flatten(0, 1), index.flatten(0, 1), weights.flatten(0, 1))[:, :3].reshape(axes.shape)
+    n = math.isqrt(maps.shape[1])
+    tables = maps[..., :3].unflatten(1, (n, n)).movedim(3, 1)  # shape: (k, 3, n, n)
+    return sampled(tables, octahedral(axes).permute(1, 2, 0) * ((n - 2) / n)).permute(2, 0, 1)
 
 
 def _through(cuts: Tensor, axes: Tensor, which: Tensor) -> Tensor:
-    """Fractional visibility (n, k) about local axes (n, k, 3)."""
+    """Fractional visibility (k, n) about local axes (3, k, n)."""
     n = _side(cuts.T)
-    first = n * n * torch.arange(len(which), device=which.device)
-    index, weights = corners(hemi_octahedral(axes), n, wrap=False, first=first)  # shape: (n, k, 4)
-    bytes_ = 4 * tiles(n).to(which) + which[:, None]  # of every lobe's cells
-    seen = cuts.view(torch.uint8).gather(1, bytes_.flatten()[index].flatten(1)).view_as(index)
-    through: Tensor = torch.linalg.vecdot(seen.to(weights), weights).div(BYTE)
-    return through
+    x, y = ((hemi_octahedral(axes.movedim(0, -1)) + 1) * (n / 2) - 0.5).unbind(-1)
+    column, row = x.floor(), y.floor()
+    bytes_ = cuts.view(torch.uint8)
+    first = bytes_.shape[1] * torch.arange(len(cuts), device=which.device) + which[:, None]
+
+    def seen(down: int, right: int) -> Tensor:
+        place = tiled((row + down).clamp(0, n - 1), (column + right).clamp(0, n - 1), n).long() * 4 + first
+        return bytes_.flatten().index_select(0, place.flatten()).view_as(place).to(axes)
+
+    above = torch.lerp(seen(0, 0), seen(0, 1), x - column)
+    below = torch.lerp(seen(1, 0), seen(1, 1), x - column)
+    return torch.lerp(above, below, y - row) / BYTE
 
 
-def _sums(weights: Tensor, values: Tensor) -> Tensor:
-    """The sum over k (n, x) of weights (n, k) times values (n, k, x)."""
-    return _products(weights[:, :, None], values[:, None])[:, 0]
+def _sums(factors: Tensor, values: Tensor) -> Tensor:
+    """The sum over x (...) of factors times values (x, ...), one x after the other: no product of all is ever in
+    memory."""
+    total = factors[0] * values[0]
+    for x in range(1, len(factors)):
+        total = torch.addcmul(total, factors[x], values[x])
+    return total
 
 
 def _products(factors: Tensor, values: Tensor) -> Tensor:
-    """The sum over x (b, c, w) of factors (b, x, w) times values (b, c, x, w), one x after the other: no product of all
-    is ever in memory."""
+    """The sum over x (b, c, w) of factors (b, x, w) times values (b, c, x, w)."""
     if not factors.shape[1]:
         return values.sum(2)
-    total = factors[:, None, 0] * values[:, :, 0]
-    for x in range(1, factors.shape[1]):
-        total = torch.addcmul(total, factors[:, None, x], values[:, :, x])
-    return total
+    return _sums(factors.transpose(0, 1)[:, :, None], values.movedim(2, 0))
 
 
 def _blocks(values: Tensor, like: Tensor) -> Tensor:
