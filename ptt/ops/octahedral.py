@@ -221,7 +221,11 @@ def tiles(n: int) -> Tensor:
     return order.flatten()
 
 
-def tiled(row: Tensor, column: Tensor, n: int) -> Tensor:
-    """The places (...) of the cells at whole rows and columns (...) of a grid of n x n cells in `tiles`."""
-    across = column + (column / TILE).floor() * (TILE * TILE - TILE)
-    return across + row * TILE + (row / TILE).floor() * (TILE * (n - TILE))
+def tiled_rows(row: Tensor, n: int) -> Tensor:
+    """What rows (...) of a grid of n x n cells add to the places of their cells in `tiles`; columns add the rest."""
+    return row * TILE + (row / TILE).floor() * (TILE * (n - TILE))
+
+
+def tiled_columns(column: Tensor) -> Tensor:
+    """What columns (...) add to the places of their cells in `tiles`."""
+    return column + (column / TILE).floor() * (TILE * (TILE - 1))

@@ -25,7 +25,7 @@ from ptt.ops import harmonics, lobes
 from ptt.ops.compiling import spans
 from ptt.ops.constants import TINY
 from ptt.ops.directions import toward
-from ptt.ops.octahedral import hemi_octahedral, octahedral, sampled, tiled
+from ptt.ops.octahedral import hemi_octahedral, octahedral, sampled, tiled_columns, tiled_rows
 from ptt.ops.relight import OutgoingLight
 from ptt.ops.transfer import lookup
 
@@ -120,10 +120,12 @@ def _radiance(
     factors = lookup(outgoing.T.unflatten(1, (_side(outgoing), -1)), _blocks(wo, values))
     out = unit * (diffuse + _products(factors, values[:, :, 1:o]))
     if gloss is not None:
-        rho, axes = _mirrored(gloss, _blocks(wo, values))
+        rho, leant = _leant(gloss, _blocks(wo, values))
+        sideways = -wo[:2]
+        axes = torch.cat((leant[0] * sideways[:, None], leant[1:]))
         seen = rho * _through(points.cuts, axes, gloss.which)
-        to_light = torch.einsum("rcn,cd->rdn", points.frame, gloss.turn)  # from local axes to those of the map
-        light = light_about(gloss.maps, _sums(to_light[:, :, None], axes[:, None]).permute(2, 1, 0))
+        plane = torch.stack((_sums(points.frame[:2], sideways[:, None]), points.frame[2]))  # of all axes, in the world
+        light = light_about(gloss.maps, _sums((gloss.turn.T @ plane)[:, :, None], leant[:, None]).permute(2, 1, 0))
         lit = _blocks(_sums(seen[:, None], light.permute(1, 2, 0)), values)
         if values.shape[2] > o:
             mean = _sums(rho[:, None], axes.transpose(0, 1))
@@ -141,12 +143,12 @@ def _toward(points: SurfaceBlocks, eye: Tensor) -> Tensor:
     return torch.cat((local[:2], (local[2] + here.to(local))[None]))
 
 
-def _mirrored(gloss: LitLobes, wo: Tensor) -> tuple[Tensor, Tensor]:
-    """rho_k (k, n) and the axes (3, k, n) of lobes at local directions wo (b, 3, w)."""
+def _leant(gloss: LitLobes, wo: Tensor) -> tuple[Tensor, Tensor]:
+    """rho_k (k, n), and how far axes lie along the mirror direction and up (2, k, n), at local wo (b, 3, w)."""
     towards = wo.transpose(1, 2)
     rho = lobes.lookup(gloss.rho.T.unflatten(1, (-1, len(gloss.axes))), towards)
-    axes = lobes.lean(gloss.axes.T.unflatten(0, (2, -1)), towards)  # shape: (b, w, k, 3)
-    return rho.flatten(1), axes.flatten(0, 1).permute(2, 1, 0)
+    leant = lobes.lookup(gloss.axes.T[:, None], towards)
+    return rho.flatten(1), leant.unflatten(0, (2, -1)).flatten(2)
 
 
 def light_about(maps: Tensor, axes: Tensor) -> Tensor:
@@ -163,14 +165,14 @@ def _through(cuts: Tensor, axes: Tensor, which: Tensor) -> Tensor:
     column, row = x.floor(), y.floor()
     bytes_ = cuts.view(torch.uint8)
     first = bytes_.shape[1] * torch.arange(len(cuts), device=which.device) + which[:, None]
+    left, right = ((4 * tiled_columns((column + k).clamp(0, n - 1))).long() for k in (0, 1))
+    above, below = ((4 * tiled_rows((row + k).clamp(0, n - 1), n)).long() + first for k in (0, 1))
 
-    def seen(down: int, right: int) -> Tensor:
-        place = tiled((row + down).clamp(0, n - 1), (column + right).clamp(0, n - 1), n).long() * 4 + first
+    def seen(place: Tensor) -> Tensor:
         return bytes_.flatten().index_select(0, place.flatten()).view_as(place).to(axes)
 
-    above = torch.lerp(seen(0, 0), seen(0, 1), x - column)
-    below = torch.lerp(seen(1, 0), seen(1, 1), x - column)
-    return torch.lerp(above, below, y - row) / BYTE
+    over, under = (torch.lerp(seen(line + left), seen(line + right), x - column) for line in (above, below))
+    return torch.lerp(over, under, y - row) / BYTE
 
 
 def _sums(factors: Tensor, values: Tensor) -> Tensor:
