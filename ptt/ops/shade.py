@@ -24,7 +24,7 @@ from ptt.ops.table import Table
 
 BYTE = 255.0
 _VALUES = 1 << 19  # of light, that are in the cache at once
-_RECORDED = 1 << 23  # the same where a derivative is recorded, which adds up the whole table for every part
+_RECORDED = 1 << 24  # the same where a derivative is recorded, which adds up the whole table for every part
 
 
 class Functions(NamedTuple):

@@ -9,7 +9,18 @@ import torch
 from scipy.integrate import dblquad
 
 from ptt.light.environment import Environment
-from ptt.ops.octahedral import HemiOctahedral, Octahedral, corners, hemi_octahedral, octahedral
+from ptt.ops.octahedral import (
+    HemiOctahedral,
+    Octahedral,
+    corners,
+    hemi_octahedral,
+    mix,
+    octahedral,
+    sampled,
+    tiled_columns,
+    tiled_rows,
+    tiles,
+)
 from ptt.ops.sphere import Grid, LatLong
 
 SPHERES = [Octahedral(2), Octahedral(4), Octahedral(16)]
@@ -203,6 +214,23 @@ def test_corners_beyond_an_edge_are_mirrored_or_repeated() -> None:
     assert corners(-left, 4, wrap=True)[0].tolist()[:2] == [15, 3]
     assert corners(top_left, 4, wrap=False)[0].tolist() == [0, 0, 0, 0]
     assert corners(left, 4, wrap=False)[0].tolist()[:2] == [0, 0]
+
+
+def test_samples_are_corners_mixed() -> None:
+    """Of two tables, to their edges and beyond."""
+    generator = torch.Generator().manual_seed(0)
+    tables = torch.rand(2, 3, 6, 6, dtype=torch.float64, generator=generator)
+    ab = 2.2 * torch.rand(2, 2, 50, dtype=torch.float64, generator=generator) - 1.1
+    for table, at, found in zip(tables, ab, sampled(tables, ab), strict=True):
+        wanted = mix(table.flatten(1).T, *corners(at.T, 6, wrap=False))
+        assert torch.allclose(found.T, wanted, atol=1e-14, rtol=0)
+
+
+@pytest.mark.parametrize("n", [4, 12])
+def test_places_in_tiles_are_those_of_rows_and_columns(n: int) -> None:
+    at = torch.arange(n, dtype=torch.float32)
+    places = tiled_rows(at, n)[:, None] + tiled_columns(at)
+    assert torch.equal(places.flatten().long(), tiles(n))
 
 
 @pytest.mark.parametrize("grid", GRIDS, ids=str)
