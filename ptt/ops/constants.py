@@ -36,8 +36,8 @@ SUMMED_IN_HALVES = 320
 """Triangles whose products are summed in float16 before the sum is widened to float32. A trial at 1280 triangles:
 longer runs are no faster; each of ten roundings errs by 2^-11 at most."""
 
-LARGEST_HALF = 6e4
-"""The largest number that `expand` writes to float16, which ends at 65,504."""
+LARGEST_WORD = 32000
+"""The largest number that `expand` writes to int16, which ends at 32,767: sums may round beyond their bound."""
 
 TINY = 1e-30
 """What a divisor is at least: far below any light, far above the smallest float32."""

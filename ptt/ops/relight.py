@@ -28,7 +28,7 @@ from ptt.ops.sparse import product
 
 
 class OutgoingLight(NamedTuple):
-    """What points in blocks send out: values (b, c, x, w), maybe in 16 bits, times the unit (b,) of each block."""
+    """What points in blocks send out: values (b, c, x, w), maybe in 16 bits, times the unit (b, c, x) of each row."""
 
     values: Tensor
     unit: Tensor
@@ -108,7 +108,8 @@ def eigen(
 def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> OutgoingLight:
     """Values (b, c, x, w) of points from those of eigen-points (k, c, e, x), weights (b, e, w) and cluster (b,)."""
     rows = eigen.transpose(2, 3).flatten(1, 2).index_select(0, cluster)  # shape: (b, c * x, e)
-    return OutgoingLight((rows @ weights).unflatten(1, (eigen.shape[1], eigen.shape[3])), eigen.new_ones(len(cluster)))
+    values = (rows @ weights).unflatten(1, (eigen.shape[1], eigen.shape[3]))
+    return OutgoingLight(values, values.new_ones(values.shape[:3]))
 
 
 def view_step(outgoing: Tensor, sent: Tensor) -> Tensor:

@@ -111,14 +111,13 @@ def _radiance(
 ) -> Tensor:
     """B (b, c, w) of points in blocks."""
     wo = _toward(points, eye)
-    values = sent.values.to(outgoing.dtype)
+    values = sent.values.to(outgoing.dtype) * sent.unit[..., None]
     o = 1 + outgoing.shape[1]
     diffuse = values[:, :, 0]
     if points.colour is not None:
         diffuse = diffuse * _blocks(points.colour, values)
-    unit = sent.unit[:, None, None]
     factors = lookup(outgoing.T.unflatten(1, (_side(outgoing), -1)), _blocks(wo, values))
-    out = unit * (diffuse + _products(factors, values[:, :, 1:o]))
+    out = diffuse + _products(factors, values[:, :, 1:o])
     if gloss is not None:
         rho, leant = _leant(gloss, _blocks(wo, values))
         sideways = -wo[:2]
@@ -131,7 +130,7 @@ def _radiance(
             mean = _sums(rho[:, None], axes.transpose(0, 1))
             axis = mean / mean.square().sum(0).clamp(min=TINY).sqrt()
             response = (gloss.blurs.T @ rho) * harmonics.evaluate(axis.T, round(gloss.blurs.shape[1] ** 0.5)).T
-            lit = lit + unit * _products(_blocks(response, values), values[:, :, o:])
+            lit = lit + _products(_blocks(response, values), values[:, :, o:])
         out = out + lit * gloss.specular[:, None]
     return out
 

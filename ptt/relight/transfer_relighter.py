@@ -25,7 +25,7 @@ class TransferRelighter(Relighter):
     """relighter(environment, materials, view) -> radiance (v, 3), linear RGB, in the map's units.
 
     model: what `compress` made, or `TransferModel.load`
-    compiled: by kernels in C++, built on first use; what points send out is then rounded to 16 bits, 2e-4 of it
+    compiled: by kernels in C++, built on first use; what points send out is then rounded to 16 bits, 3e-5 of the most
 
     Radiance is that of the vertices; `ptt.render` interpolates it. Differentiable in the map, in the weights of the
     materials and in the parameters of their shapes.

@@ -59,14 +59,14 @@ def frames(relighter: Any) -> list[Tensor]:
 
 @pytest.mark.parametrize("compiled", [True, False], ids=["kernels", "torch alone"])
 def test_is_the_eager_one_without_a_graph_break(make: Callable[[bool], Relighter], compiled: bool) -> None:
-    """The bound: the order of sums in float32; and where points send out float16, a unit in its last place, 5e-4."""
+    """The bound: the order of sums in float32; and where points send out int16, the last place of it."""
     relighter = make(compiled)
     wanted = frames(relighter)
     got = frames(torch.compile(make(compiled), backend="inductor" if compiled else "aot_eager"))
     assert not dict(counters["graph_break"])
     assert (counters["stats"]["unique_graphs"] == 0) == compiled  # where kernels are, nothing is left to fuse
     for one, other in zip(got, wanted, strict=True):
-        assert torch.allclose(one, other, rtol=1e-5, atol=(5e-4 if compiled else 1e-5) * float(other.abs().max()))
+        assert torch.allclose(one, other, rtol=1e-5, atol=(1e-4 if compiled else 1e-5) * float(other.abs().max()))
 
 
 def test_inductor_alone_is_the_eager_one(clustered_model: ptt.TransferModel) -> None:

@@ -45,14 +45,14 @@ extern "C" int32_t ptt_eigen(const Eigen *g) {
     return DONE;
 }
 
-// expand: S[b, c, x, w] unit[b] = sum over e of  A[cluster[b], c, e, x] W[b, e, w], rounded to 16 bits, and laid out in
-// blocks of GROUP points, so that the view step reads it in one line.
+// expand: S[b, c, x, w] unit[b, c, x] = sum over e of  A[cluster[b], c, e, x] W[b, e, w], rounded to 16 bits, and laid
+// out in blocks of GROUP points, so that the view step reads it in one line.
 // Of a tile, in rows x and in vectors of w: 24 sums fill 32 registers, 12 fill 16; whole groups, whatever the lanes are.
 constexpr int ROWS = 6, ACROSS = LANES == 8 ? 2 : 4;
 
 template <int R>
-static inline void expand_tile(const float *a, const float *w, Half *s, int64_t e, int64_t x, int64_t width,
-                               int64_t group, float scale) {
+static inline void expand_tile(const float *a, const float *w, int16_t *s, int64_t e, int64_t x, int64_t width,
+                               int64_t group, const float *scale) {
     Lanes sum[R][ACROSS] = {};
     for (int64_t i = 0; i < e; ++i, a += x, w += width) {
         Lanes weight[ACROSS];
@@ -62,30 +62,29 @@ static inline void expand_tile(const float *a, const float *w, Half *s, int64_t 
     }
     for (int r = 0; r < R; ++r)
         for (int n = 0; n < ACROSS; ++n)
-            store(s + n * LANES / GROUP * group + r * GROUP + n * LANES % GROUP, scale * sum[r][n]);
+            store(s + n * LANES / GROUP * group + r * GROUP + n * LANES % GROUP, scale[r] * sum[r][n]);
 }
 
 // By the number of rows.
 constexpr decltype(&expand_tile<1>) TILES[ROWS] = {expand_tile<1>, expand_tile<2>, expand_tile<3>,
                                                    expand_tile<4>, expand_tile<5>, expand_tile<6>};
 
-// The largest of n absolute values.
-static inline float largest(const float *p, int64_t n) {
-    float found = 0;
-#pragma omp simd reduction(max : found)
-    for (int64_t i = 0; i < n; ++i) found = std::max(found, std::fabs(p[i]));
-    return found;
+// The largest |W[e, w]| over w of each e.
+static inline void reach(const float *w, int64_t e, int64_t width, float *most) {
+    for (int64_t i = 0; i < e; ++i, w += width) {
+        Lanes found = {};
+        for (int64_t at = 0; at < width; at += LANES) found = ::most(found, size(load(w + at)));
+        most[i] = 0;
+        for (int l = 0; l < LANES; ++l) most[i] = std::max(most[i], found[l]);
+    }
 }
 
-// The largest sum over e of |W[e, w]|.
-static inline float reach(const float *w, int64_t e, int64_t width) {
-    float found = 0;
-    for (int64_t at = 0; at < width; at += LANES) {
-        Lanes sum = {};
-        for (int64_t i = 0; i < e; ++i) sum += size(load(w + i * width + at));
-        for (int l = 0; l < LANES; ++l) found = std::max(found, sum[l]);
-    }
-    return found;
+// What no sum of a row leaves: sum over e of |A[e, x]| most[e], as units and as what divides by them.
+static inline void units(const float *a, const float *most, int64_t e, int64_t x, float *unit, float *scale) {
+    std::fill(unit, unit + x, TINY * LARGEST_WORD);
+    for (int64_t i = 0; i < e; ++i)
+        for (int64_t r = 0; r < x; ++r) unit[r] += std::fabs(a[i * x + r]) * most[i];
+    for (int64_t r = 0; r < x; ++r) unit[r] /= LARGEST_WORD, scale[r] = 1 / unit[r];
 }
 
 extern "C" int32_t ptt_expand(const Expand *g) {
@@ -93,17 +92,19 @@ extern "C" int32_t ptt_expand(const Expand *g) {
     const int64_t e = g->factors, x = g->x, width = g->width, channels = g->channels, tiles = (x + ROWS - 1) / ROWS;
     in_parallel(g->blocks, g->threads, [=](int64_t b) {
         const float *own = g->eigen + g->cluster[b] * channels * e * x, *w = g->weights + b * e * width;
-        // of what is largest: a float16 holds it, and the rest to 1e-9 of it
-        const float most = std::max(largest(own, channels * e * x) * reach(w, e, width), TINY) / LARGEST_HALF;
-        const int64_t group = channels * x * GROUP;
-        std::fill(g->unit + b * width / GROUP, g->unit + (b + 1) * width / GROUP, most);
+        const int64_t group = channels * x * GROUP, groups = width / GROUP;
+        std::vector<float> most(e), scale(channels * x);
+        reach(w, e, width, most.data());
+        float *unit = g->unit + b * groups * channels * x;
+        for (int64_t c = 0; c < channels; ++c) units(own + c * e * x, most.data(), e, x, unit + c * x, &scale[c * x]);
+        for (int64_t k = 1; k < groups; ++k) std::copy(unit, unit + channels * x, unit + k * channels * x);
         for (int64_t at = 0; at < width; at += ACROSS * LANES)
             for (int64_t c = 0; c < channels; ++c)
                 for (int64_t t = 0; t < tiles; ++t) {
                     const int64_t first = x * t / tiles, end = x * (t + 1) / tiles;
                     const float *a = own + c * e * x + first;
-                    Half *s = g->out + (b * width + at) / GROUP * group + (c * x + first) * GROUP;
-                    TILES[end - first - 1](a, w + at, s, e, x, width, group, 1 / most);
+                    int16_t *s = g->out + (b * width + at) / GROUP * group + (c * x + first) * GROUP;
+                    TILES[end - first - 1](a, w + at, s, e, x, width, group, &scale[c * x + first]);
                 }
     });
     return DONE;

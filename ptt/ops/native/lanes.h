@@ -25,6 +25,7 @@ typedef int32_t Ints __attribute__((vector_size(4 * LANES)));
 typedef float Four __attribute__((vector_size(16)));
 typedef float Eight __attribute__((vector_size(32)));
 typedef uint16_t Shorts __attribute__((vector_size(2 * LANES)));
+typedef int16_t Words __attribute__((vector_size(2 * LANES)));
 
 static inline Lanes all(float x) { return x - Lanes{}; }
 static inline Lanes size(Lanes x) { return (Lanes)((Ints)x & 0x7fffffff); }
@@ -55,6 +56,12 @@ static inline Lanes load(const Half *p) {
 #endif
 }
 
+static inline Lanes load(const int16_t *p) {
+    Words x;
+    std::memcpy(&x, p, sizeof x);
+    return __builtin_convertvector(__builtin_convertvector(x, Ints), Lanes);
+}
+
 static inline void store(float *p, Lanes x) { std::memcpy(p, &x, sizeof x); }
 
 static inline void store(Half *p, Lanes x) {
@@ -67,6 +74,19 @@ static inline void store(Half *p, Lanes x) {
     for (int l = 0; l < LANES; ++l) h[l] = x[l];
     std::memcpy(p, h, sizeof h);
 #endif
+}
+
+// to the nearest whole number
+static inline void store(int16_t *p, Lanes x) {
+#if defined(__AVX512F__)
+    const Words words = __builtin_convertvector((Ints)_mm512_cvtps_epi32((__m512)x), Words);
+#elif defined(__AVX__)
+    const Words words = __builtin_convertvector((Ints)_mm256_cvtps_epi32((__m256)x), Words);
+#else
+    Words words;
+    for (int l = 0; l < LANES; ++l) words[l] = (int16_t)std::lrint(x[l]);
+#endif
+    std::memcpy(p, &words, sizeof words);
 }
 
 static inline Lanes gather(const float *p, Ints index) {

@@ -224,7 +224,7 @@ _eigen = operator(
 
 @inlined
 def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> OutgoingLight:
-    """Values as `ptt.ops.relight.expand`; those of the kernel are float16, scaled to its range, in smaller blocks."""
+    """Values as `ptt.ops.relight.expand`; those of the kernel are int16, in smaller blocks."""
     return OutgoingLight(*_expand(eigen, weights, cluster))
 
 
@@ -257,15 +257,15 @@ def _expand_kernel(eigen: Tensor, weights: Tensor, cluster: Tensor) -> tuple[Ten
 
 def _in_groups(eigen: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
     groups = len(weights) * weights.shape[2] // GROUP
-    values = eigen.new_empty(groups, eigen.shape[1], eigen.shape[3], GROUP, dtype=torch.float16)
-    return values, eigen.new_empty(groups)
+    values = eigen.new_empty(groups, eigen.shape[1], eigen.shape[3], GROUP, dtype=torch.int16)
+    return values, eigen.new_empty(values.shape[:3])
 
 
 def _expand_fake(eigen: Tensor, weights: Tensor, cluster: Tensor) -> tuple[Tensor, Tensor]:
     if eigen.device.type == "cpu" and refusal(_expand_conditions(eigen, weights, cluster), "expand") is None:
         return _in_groups(eigen, weights)
-    blocks = len(weights)
-    return eigen.new_empty(blocks, eigen.shape[1], eigen.shape[3], weights.shape[2]), eigen.new_empty(blocks)
+    rows = len(weights), eigen.shape[1], eigen.shape[3]
+    return eigen.new_empty(*rows, weights.shape[2]), eigen.new_empty(rows)
 
 
 _expand = operator(

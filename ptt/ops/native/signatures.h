@@ -57,8 +57,8 @@ struct Eigen {
 struct Expand {
     const float *eigen, *weights;  // (k, channels, factors, x), (blocks, factors, width)
     const int64_t *cluster;        // (blocks)
-    Half *out;                     // (blocks * width / GROUP, channels, x, GROUP)
-    float *unit;                   // of each group
+    int16_t *out;                  // (blocks * width / GROUP, channels, x, GROUP)
+    float *unit;                   // of each row of a group: (blocks * width / GROUP, channels, x)
     int64_t blocks, channels, factors, x, width;
     int32_t threads;
 };
@@ -67,7 +67,7 @@ struct Expand {
 
 struct View {
     const float *position, *frame, *colour, *eye, *outgoing;
-    const Half *values;
+    const int16_t *values;
     const float *unit, *rho, *axes, *specular, *maps, *turn, *blurs;
     const int32_t *cuts;
     const int64_t *which, *place;

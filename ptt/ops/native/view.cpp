@@ -3,7 +3,7 @@
 //     B[v, c] = sum over o of  V[o, wo] Q[c, o, v]
 //             + specular[c] sum over k of  rho_k(wo) (E_k[c, a_k] cut_k[v, a_k] + sum over s of  z_k[s] Y_s(a) I[c, s, v])
 //
-// Q and I are in 16 bits. Points go LANES at a time, one in each lane of a vector; the light of lobes, which each point
+// Q and I are in 16 bits, by a unit for each row of a group. Points go LANES at a time, one in each lane of a vector; the light of lobes, which each point
 // reads in places of its own, is summed point by point. `look` finds where a group looks and fetches its words of the
 // cuts ahead of time; `shade` sums, AHEAD groups later. Indices are clamped, so that no input reads out of bounds.
 
@@ -162,20 +162,19 @@ static inline void reflect(const View &g, int64_t v, const Look<K> &at, Lanes *l
 template <int K>
 static inline void shade(const View &g, int64_t v, const Look<K> &at, int64_t later, const Look<K> &next) {
     const int w = g.width, o = g.factors;
-    const Half *sent = g.values + (v / w * 3 * g.rows) * w + v % w;
-    const Half *q[3] = {sent, sent + g.rows * w, sent + 2 * g.rows * w};
-    const float unit = g.unit[v / w];
-    Lanes out[3] = {load(q[0]), load(q[1]), load(q[2])};
+    const int16_t *sent = g.values + (v / w * 3 * g.rows) * w + v % w;
+    const float *unit = g.unit + v / w * 3 * g.rows;
+    const auto row = [=](int c, int64_t x) { return unit[c * g.rows + x] * load(sent + (c * g.rows + x) * w); };
+    Lanes out[3] = {row(0, 0), row(1, 0), row(2, 0)};
     if (g.colour)
         for (int c = 0; c < 3; ++c) out[c] *= load(g.colour + c * g.blocks * w + v);
     if (o > 1) {
         Corners on = corners(at.wo[0], at.wo[1], g.disk, false);
         for (auto &cell : on.cell) cell *= o - 1;
         mix(g.outgoing, o - 1, on.cell, on.weight, [&](int f, Lanes factor) {
-            for (int c = 0; c < 3; ++c) out[c] += factor * load(q[c] + (1 + f) * w);
+            for (int c = 0; c < 3; ++c) out[c] += factor * row(c, 1 + f);
         });
     }
-    for (auto &sum : out) sum *= unit;
     if constexpr (K > 0) {
         Lanes lit[3];
         reflect(g, v, at, lit);
@@ -190,9 +189,9 @@ static inline void shade(const View &g, int64_t v, const Look<K> &at, int64_t la
             for (int s = 0; s < HARMONICS; ++s) {
                 Lanes blur = at.rho[0] * g.blurs[s];
                 for (int k = 1; k < K; ++k) blur += at.rho[k] * g.blurs[k * HARMONICS + s];
-                blur *= basis[s] * unit;
+                blur *= basis[s];
                 if (s < LANES) fetch(g, later, next, s);
-                for (int c = 0; c < 3; ++c) lit[c] += blur * load(q[c] + (o + s) * w);
+                for (int c = 0; c < 3; ++c) lit[c] += blur * row(c, o + s);
             }
         }
         for (int c = 0; c < 3; ++c) out[c] += lit[c] * g.specular[c];

@@ -117,7 +117,7 @@ def _conditions(*arguments: Sequence[Tensor | None]) -> Conditions:
 def _of_points(region: ViewedRegion, factors: int) -> Conditions:
     points, eye, (values, unit), _ = region
     yield of_type(torch.float32, points.position, points.frame, points.colour, eye, unit), "points must be float32"
-    yield of_type(torch.float16, values), "values must be float16, as the kernel of expand writes them"
+    yield of_type(torch.int16, values), "values must be int16, as the kernel of expand writes them"
     yield of_type(torch.int64, points.place), "place must be int64"
     large = (points.position, points.frame, points.colour, unit, values, points.place)
     yield contiguous(*large), "points and values must be contiguous"
@@ -130,7 +130,7 @@ def _of_points(region: ViewedRegion, factors: int) -> Conditions:
     yield points.frame.shape == (3, 3, n), "frame must be (3, 3, n)"
     yield points.colour is None or points.colour.shape == (3, n), "colour must be (3, n)"
     yield eye.shape in ((3,), (3, n)), "eye must be (3,) or (3, n)"
-    yield unit.shape == (b,), "unit must be (b,)"
+    yield unit.shape == values.shape[:3], "unit must be (b, 3, x)"
 
 
 def _of_lobes(gloss: LitLobes, cuts: Tensor, harmonics: int) -> Conditions:

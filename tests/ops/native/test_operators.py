@@ -38,6 +38,10 @@ def uniform(*shape: int) -> Tensor:
     return torch.rand(*shape, generator=generator())
 
 
+def words(*shape: int) -> Tensor:
+    return torch.randint(-32000, 32000, shape, generator=generator(), dtype=torch.int16)
+
+
 def lighting() -> None:
     native.lighting(uniform(64, 4), torch.eye(3), *samples(Cube(4)), Cube(4).shape)
 
@@ -78,7 +82,7 @@ def view() -> None:
         torch.randint(0, 2**31, (n, 64), generator=generator()).int(),
         torch.randperm(n, generator=generator())[: n - 3],
     )
-    sent = OutgoingLight(uniform(blocks, 3, 6 + 16, w).half(), uniform(blocks))
+    sent = OutgoingLight(words(blocks, 3, 6 + 16, w), uniform(blocks, 3, 6 + 16))
     gloss = LitLobes(
         torch.tensor([0, 2]),
         uniform(20, 2),
@@ -88,7 +92,7 @@ def view() -> None:
         torch.eye(3),
         uniform(2, 16),
     )
-    dull = OutgoingLight(uniform(blocks, 3, 6, w).half(), uniform(blocks))
+    dull = OutgoingLight(words(blocks, 3, 6, w), uniform(blocks, 3, 6))
     coloured = surface._replace(colour=uniform(3, n))
     eye = torch.tensor([0.2, 0.4, 5.0])
     native.view([ViewedRegion(surface, eye, sent, gloss), ViewedRegion(coloured, eye, dull, None)], uniform(36, 5))
