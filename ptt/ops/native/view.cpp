@@ -163,8 +163,9 @@ template <int K>
 static inline void shade(const View &g, int64_t v, const Look<K> &at, int64_t later, const Look<K> &next) {
     const int w = g.width, o = g.factors;
     const int16_t *sent = g.values + (v / w * 3 * g.rows) * w + v % w;
-    const float *unit = g.unit + v / w * 3 * g.rows;
-    const auto row = [=](int c, int64_t x) { return unit[c * g.rows + x] * load(sent + (c * g.rows + x) * w); };
+    const int16_t *q[3] = {sent, sent + g.rows * w, sent + 2 * g.rows * w};
+    const float *own = g.unit + v / w * 3 * g.rows, *unit[3] = {own, own + g.rows, own + 2 * g.rows};
+    const auto row = [=](int c, int x) { return unit[c][x] * load(q[c] + x * w); };
     Lanes out[3] = {row(0, 0), row(1, 0), row(2, 0)};
     if (g.colour)
         for (int c = 0; c < 3; ++c) out[c] *= load(g.colour + c * g.blocks * w + v);
