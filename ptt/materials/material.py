@@ -209,6 +209,8 @@ MODELS: dict[str, Callable[..., Material]] = {
     Ward.model: ward,
     GGX.model: ggx,
 }
+NAMES = (*MODELS, SEVERAL, shapes.Named.model, shapes.Blend.model)
+"""The models of all configs."""
 
 
 def from_config(config: Mapping[str, Any]) -> Material:
@@ -219,15 +221,15 @@ def from_config(config: Mapping[str, Any]) -> Material:
     """
     values = dict(config)
     model = values.pop("model", None)
+    if model not in NAMES:
+        raise ValueError(f"material.model must be one of {', '.join(MODELS)}, got {model!r}")
     if model == SEVERAL:
         first, *more = (from_config(highlight).highlights[0] for highlight in values["highlights"])
         return Material(values.get("diffuse", 0.5), first.colour, first.shape, *more)
-    if model in (shapes.Named.model, shapes.Blend.model):
+    if model not in MODELS:
         diffuse = values.pop("diffuse", 0.5)
         specular = values.pop("specular", 0.5)
         return Material(diffuse, specular, shapes.from_config({"model": model, **values}))
-    if model not in MODELS:
-        raise ValueError(f"material.model must be one of {', '.join(MODELS)}, got {model!r}")
     valid = inspect.signature(MODELS[model]).parameters
     if unknown := [key for key in values if key not in valid]:
         raise ValueError(f"material: unknown {', '.join(map(repr, unknown))}; valid are {', '.join(valid)}")

@@ -39,3 +39,7 @@ class Texture:
     def at(self, uv: Tensor) -> Tensor:
         """Bilinear values (n, c) at uv (n, 2), v = 1 on top."""
         return mesh.sample_texture(self.pixels, uv, self.wrap)
+
+    def channel(self, number: int) -> Texture:
+        """The texture of one of its channels, (h, w, 1)."""
+        return Texture(self.pixels[..., number : number + 1].contiguous(), self.wrap)

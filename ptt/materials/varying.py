@@ -248,6 +248,16 @@ def all_shares(material: SurfaceMaterial, at: LayersAt) -> Tensor:
     return shares.scatter(0, index.T[..., None].expand(-1, -1, 3), at.shares)
 
 
+def simplified(material: MetalRough, coloured: bool) -> SurfaceMaterial:
+    """`metal_rough` in place of a material that is the same without maps, else that one.
+
+    coloured: says whether the surface has a base colour of its own, which a metal's highlight shows
+    """
+    if any(given is not None for given in material.maps) or (coloured and material.metallic > 0):
+        return material
+    return mat.metal_rough(material.base, material.metallic, material.roughness, material.reflectance)
+
+
 def describe(material: SurfaceMaterial) -> str:
     """A material in a few words: the models of its highlights."""
     if isinstance(material, Mixed):

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ptt.io import gltf
-from ptt.materials.material import ggx, metal_rough
+from ptt.materials.material import ggx
 from ptt.materials.textures import Texture, Wrap
-from ptt.materials.varying import MetalRough, SurfaceMaterial
+from ptt.materials.varying import MetalRough, SurfaceMaterial, simplified
 from ptt.scene.bumps import BumpMap
 from ptt.scene.textures import from_image
 
@@ -93,8 +93,7 @@ class Materials:
         texture = self._texture(given["base colour"], srgb=True) if "base colour" in given else None
         values = self._metal_rough(pbr, given.get("metallic-roughness"))
         values["reflectance"] = self._reflectance(material)
-        plain = "roughness_map" not in values and (values["metallic"] == 0 or not (coloured or texture))
-        own = metal_rough(**values) if plain else MetalRough(**values)
+        own = simplified(MetalRough(**values), coloured or texture is not None)
         bumps = self._bumps(given["normal"]) if "normal" in given else None
         return Look(own, texture, bumps, self._glow(material, given.get("emissive")), bool(given), uv_set, matrix)
 
@@ -108,7 +107,7 @@ class Materials:
         if info is not None:
             texture = self._texture(info, srgb=False)
             for name, channel in (("roughness_map", 1), ("metallic_map", 2)):
-                values[name] = Texture(texture.pixels[..., channel : channel + 1].contiguous(), texture.wrap)
+                values[name] = texture.channel(channel)
         return values
 
     def _bumps(self, info: dict[str, Any]) -> BumpMap:

@@ -20,6 +20,7 @@
     editable = true
     texture = "spot_texture.png"              # sRGB image over the mesh's own uv
     material = { model = "blinn-phong", diffuse = [0.5, 0.5, 0.5], specular = 0.1, exponent = 20 }
+                                              # others, and those of image files: `ptt.scene.toml_materials`
     [[region]]
     name = "floor"
     plane = { size = 4.0, cells = 64 }
@@ -32,7 +33,6 @@ from __future__ import annotations
 
 import inspect
 import math
-import os
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -44,7 +44,6 @@ import torch
 from torch import Tensor
 
 from ptt.light.environment import Environment
-from ptt.materials import material as materials
 from ptt.ops import mesh, refine
 from ptt.ops.directions import turn
 from ptt.scene.camera import Camera
@@ -53,6 +52,8 @@ from ptt.scene.mesh_files import read_parts
 from ptt.scene.parts import Part, join, transformed
 from ptt.scene.scene import Scene
 from ptt.scene.textures import read_texture
+from ptt.scene.toml_materials import IMAGES, read_material
+from ptt.scene.toml_tables import check_keys, find, value_of
 
 T = TypeVar("T")
 SHAPES: dict[str, Callable[..., tuple[Tensor, Tensor]]] = {
@@ -107,7 +108,7 @@ def _load_toml(path: Path) -> Scene:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"path must be a TOML file: {path}: {error}") from error
-    _check_keys(path.name, table, ("environment", "hidden", "camera", "region"))
+    check_keys(path.name, table, ("environment", "hidden", "camera", "region"))
     if not isinstance(table.get("region"), list):
         raise ValueError(f"{path.name} must hold at least one [[region]]")
     environment = None
@@ -116,9 +117,9 @@ def _load_toml(path: Path) -> Scene:
         environment = _environment(table["environment"], path.parent)
     if "camera" in table:
         camera = _call("camera", Camera, table["camera"])
-    parts = [part for t in table["region"] for part in _regions(t, path.parent)]
+    parts = [part for t in table["region"] for part in _regions(t, path)]
     scene = Scene.from_parts(parts, environment, camera)
-    return scene if _value_of(table, "hidden", bool, True) else without_hidden(scene)
+    return scene if value_of(table, "hidden", bool, True) else without_hidden(scene)
 
 
 def _environment(given: Any, folder: Path) -> Environment:
@@ -126,50 +127,45 @@ def _environment(given: Any, folder: Path) -> Environment:
     table = {"file": given} if isinstance(given, str) else given
     if not isinstance(table, dict) or not isinstance(table.get("file"), str):
         raise ValueError(f"environment must be a file, or a table with a file, got {given!r}")
-    _check_keys("environment", table, ("file", "layout", "layer"))
+    check_keys("environment", table, ("file", "layout", "layer"))
     options = {key: value for key, value in table.items() if key != "file"}
     return Environment.load(find(table["file"], folder), **options)
 
 
-def find(name: str, folder: Path) -> Path:
-    """The file `name` in `folder`, else under $PTT_DATA.
-
-    Raises:
-        ValueError: it is in neither.
-    """
-    tried = [folder / name]
-    if "PTT_DATA" in os.environ:
-        tried.append(Path(os.environ["PTT_DATA"]) / name)
-    for path in tried:
-        if path.is_file():
-            return path
-    raise ValueError(f"no file {name!r}, beside the TOML file or in $PTT_DATA: {', '.join(map(str, tried))}")
-
-
-def _regions(table: Mapping[str, Any], folder: Path) -> list[Part]:
-    """The regions of a table: one, or one for each part of its file."""
-    _check_keys("region", table, REGION)
+def _regions(table: Mapping[str, Any], file: Path) -> list[Part]:
+    """The regions of a table of a scene file: one, or one for each part of its mesh."""
+    check_keys(f"{file.name}: region", table, REGION)
     if not isinstance(table.get("name"), str):
-        raise ValueError(f"region must have a name, got {table.get('name')!r}")
+        raise ValueError(f"{file.name}: region must have a name, got {table.get('name')!r}")
     name: str = table["name"]
     try:
-        editable = _value_of(table, "editable", bool, True)
-        own = _value_of(table, "regions", bool, False)
-        parts = _parts(table, folder)
+        editable = value_of(table, "editable", bool, True)
+        own = value_of(table, "regions", bool, False)
+        parts = _parts(table, file.parent)
         if own:
             parts = [replace(part, name=f"{name}/{part.name}", editable=editable) for part in parts]
         else:
             parts = [replace(join(name, parts), editable=editable)]
-        return [_placed(part, table, folder) for part in parts]
+        _check_uv(parts, table)
+        return [_placed(part, table, file.parent) for part in parts]
     except (ValueError, TypeError) as error:
-        raise ValueError(f"region {name!r}: {error}") from error
+        raise ValueError(f"{file.name}: region {name!r}: {error}") from error
+
+
+def _check_uv(parts: list[Part], table: Mapping[str, Any]) -> None:
+    """Refuse image files over parts that have no texture coordinates."""
+    images = [key for key in ("texture", *IMAGES) if key in table or key in table.get("material", ())]
+    if images and any(part.uv is None for part in parts):
+        source = _source(table)
+        bare = table["mesh"] if source == "mesh" else f"a {source}"
+        raise ValueError(f"{bare} has no texture coordinates for {', '.join(images)}: give a mesh that has uv")
 
 
 def _placed(part: Part, table: Mapping[str, Any], folder: Path) -> Part:
     """A part with the texture, the triangles and the place that a table gives it."""
     if "texture" in table:
         part = replace(part, texture=read_texture(find(table["texture"], folder)))
-    for _ in range(_value_of(table, "subdivide", int, 0)):
+    for _ in range(value_of(table, "subdivide", int, 0)):
         part = _subdivided(part)
     part = transformed(part, _matrix(**{k: table[k] for k in PLACING if k in table}))
     return _with_edges_up_to(part, float(table["edge"])) if "edge" in table else part
@@ -177,22 +173,30 @@ def _placed(part: Part, table: Mapping[str, Any], folder: Path) -> Part:
 
 def _parts(table: Mapping[str, Any], folder: Path) -> list[Part]:
     """The parts that a table names, in their own space, with its material where it gives one."""
-    material = materials.from_config(table["material"]) if "material" in table else None
-    sources = [key for key in ("mesh", *SHAPES) if key in table]
-    if len(sources) != 1:
-        raise ValueError(f"region must have one of mesh, {', '.join(SHAPES)}, got {sources or 'none'}")
-    source = sources[0]
+    source = _source(table)
     if source != "mesh" and ("parts" in table or "regions" in table):
         raise ValueError(f"parts and regions need a mesh, got {source}")
     if source == "mesh":
         parts = _chosen(read_parts(find(table["mesh"], folder)), table.get("parts"))
     else:
         parts = [Part(source, *_call(source, SHAPES[source], table[source]))]
-    return parts if material is None else [replace(part, material=material) for part in parts]
+    if "material" not in table:
+        return parts
+    coloured = "texture" in table or any(part.texture is not None or part.colours is not None for part in parts)
+    material = read_material(table["material"], folder, coloured)
+    return [replace(part, material=material) for part in parts]
+
+
+def _source(table: Mapping[str, Any]) -> str:
+    """The key that says where a region's triangles come from."""
+    sources = [key for key in ("mesh", *SHAPES) if key in table]
+    if len(sources) != 1:
+        raise ValueError(f"region must have one of mesh, {', '.join(SHAPES)}, got {sources or 'none'}")
+    return sources[0]
 
 
 def _chosen(parts: list[Part], names: list[str] | None) -> list[Part]:
-    _check_keys("parts", names or (), [part.name for part in parts])
+    check_keys("parts", names or (), [part.name for part in parts])
     return parts if names is None else [part for part in parts if part.name in names]
 
 
@@ -242,24 +246,9 @@ def _with_vertices(part: Part, faces: Tensor, pairs: list[Tensor]) -> Part:
     return replace(part, faces=faces, **finer)
 
 
-def _value_of(table: Mapping[str, Any], key: str, kind: type[T], default: T) -> T:
-    """The value at a key, which must be of a kind."""
-    value = table.get(key, default)
-    if type(value) is not kind:
-        raise ValueError(f"{key} must be of type {kind.__name__}, got {value!r}")
-    return value
-
-
-def _check_keys(place: str, keys: Iterable[str], valid: Iterable[str]) -> None:
-    """Refuse keys that are not valid."""
-    names = list(valid)
-    if unknown := [key for key in keys if key not in names]:
-        raise ValueError(f"{place}: unknown {', '.join(map(repr, unknown))}; valid are {', '.join(names)}")
-
-
 def _call(place: str, make: Callable[..., T], table: Mapping[str, Any]) -> T:
     """The result of make(**table); arguments that it does not have, or of the wrong kind, are refused."""
-    _check_keys(place, table, inspect.signature(make).parameters)
+    check_keys(place, table, inspect.signature(make).parameters)
     try:
         return make(**table)
     except TypeError as error:

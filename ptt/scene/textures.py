@@ -15,14 +15,14 @@ from ptt.materials.textures import Texture
 EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")  # Pillow's modes of at most 8 bits a channel
 
 
-def read_texture(path: Path) -> Texture:
-    """The texture of an 8-bit sRGB image.
+def read_texture(path: Path, srgb: bool = True) -> Texture:
+    """The texture of an 8-bit image, linear RGB; srgb: says whether the file follows the sRGB curve.
 
     Raises:
         ValueError: the file is missing, not an image, or not of 8 bits.
     """
     try:
-        return Texture(from_image(Image.open(path)))
+        return Texture(from_image(Image.open(path), srgb))
     except (OSError, ValueError) as error:
         raise ValueError(f"texture must be a readable 8-bit image: {path}: {error}") from error
 
