@@ -29,6 +29,7 @@ from ptt.ops import latlong
 from ptt.ops.compiling import in_python
 from ptt.ops.directions import turn
 from ptt.ops.sphere import Grid, LatLong
+from ptt.ops.transforms import beneath, stands_in
 
 Colour = float | Sequence[float] | Tensor
 """Red, green and blue, or one number for grey; finite and >= 0."""
@@ -57,7 +58,7 @@ class Layer(NamedTuple):
     @property
     def changed(self) -> bool:
         """Whether the gain is not 1."""
-        return self.gain.requires_grad or self.gain.tolist() != [1.0, 1.0, 1.0]
+        return self.gain.requires_grad or stands_in(self.gain) or self.gain.tolist() != [1.0, 1.0, 1.0]
 
     def scaled(self, values: Tensor) -> Tensor:
         """Values (..., 3) of the texels times the gain."""
@@ -106,7 +107,7 @@ class Environment:
         """The sum of layers."""
         environment = object.__new__(cls)
         object.__setattr__(environment, "layers", tuple(layers))
-        largest = sum(layer.largest * float(layer.gain.detach().max()) for layer in environment.layers)
+        largest = sum(layer.largest * float(beneath(layer.gain).detach().max()) for layer in environment.layers)
         if not largest <= LARGEST_RADIANCE:
             raise ValueError(f"radiance must stay within {LARGEST_RADIANCE:g}, got up to {largest:g}")
         return environment
@@ -335,8 +336,9 @@ def _invert(cumulative: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
 
 def _colour(name: str, value: Colour) -> Tensor:
     colour = torch.as_tensor(value, dtype=torch.float32)
-    if colour.shape not in ((), (1,), (3,)) or not bool(((colour >= 0) & colour.isfinite()).all()):
-        raise ValueError(f"{name} must be one or three finite numbers >= 0, got {value}")
+    values = beneath(colour)
+    if colour.shape not in ((), (1,), (3,)) or not bool(((values >= 0) & values.isfinite()).all()):
+        raise ValueError(f"{name} must be one or three finite numbers >= 0, got {values.tolist()}")
     return colour.expand(3)
 
 
@@ -348,12 +350,13 @@ def _direction(value: Sequence[float] | Tensor) -> Tensor:
 
 
 def _checked_largest(name: str, values: Tensor) -> float:
-    """The largest absolute value.
+    """The largest absolute value; of a batch, that of all its samples.
 
     Raises:
         ValueError: one is NaN, or beyond LARGEST_RADIANCE.
     """
-    largest = float(values.detach().abs().max())
+    values = beneath(values).detach()
+    largest = float(values.abs().max())
     if largest <= LARGEST_RADIANCE:
         return largest
     bad = int((~(values.abs() <= LARGEST_RADIANCE)).sum())

@@ -24,6 +24,7 @@ from ptt.ops.marks import mark
 from ptt.ops.octahedral import Octahedral, bordered
 from ptt.ops.sparse import product
 from ptt.ops.sphere import Grid
+from ptt.ops.transforms import outside, stands_in
 from ptt.ops.view import light_about
 
 FINE_SIDE = 256  # cells along an edge of the map from which lighting is read
@@ -57,14 +58,14 @@ def light_maps(
 
     octahedral_means: `ptt.ops.latlong.octahedral_means`, or its kernel
     """
-    if texels.is_inference() or (torch.is_grad_enabled() and texels.requires_grad):
+    if texels.is_inference() or (torch.is_grad_enabled() and texels.requires_grad) or stands_in(texels):
         return _made(texels, angles, octahedral_means)
     made = _READY.setdefault(texels, {})
     now = mark(texels)
     key = (now, tuple(angles), octahedral_means)
     if key not in made:
         with torch.inference_mode(False), torch.no_grad():
-            ready = _made(texels, angles, octahedral_means)
+            ready = outside(_made, texels, angles, octahedral_means)
         stale = [other for other in made if other[0] != now]
         for other in stale:
             del made[other]
@@ -75,7 +76,7 @@ def light_maps(
 def _made(texels: Tensor, angles: Sequence[float], octahedral_means: Means) -> LightMaps:
     texels, samples, arc = latlong.sampled(texels, Octahedral(FINE_SIDE))
     fine = octahedral_means(texels, FINE_SIDE, samples, arc)
-    light = (fine * _solid_angles(FINE_SIDE).to(fine)).reshape(FINE_SIDE, FINE_SIDE, 3)
+    light = (fine * outside(_solid_angles, FINE_SIDE).to(fine)).reshape(FINE_SIDE, FINE_SIDE, 3)
     blurred = [_blurred(light, angle) for angle in angles]
     around = [bordered(each) for each in blurred] or [fine.new_zeros(0, 3)]
     return LightMaps(pad(fine, (0, 1)), pad(torch.stack(around), (0, 1))[: len(angles)])
@@ -85,12 +86,14 @@ def _blurred(light: Tensor, angle: float) -> Tensor:
     """The mean (BLURRED_SIDE ** 2, 3) under a lobe of light times solid angle (FINE_SIDE, FINE_SIDE, 3)."""
     n = SOURCE_SIDE.get(angle, BLURRED_SIDE)
     summed = Octahedral(n).coarsen(light, FINE_SIDE // n).reshape(-1, 3)
-    return summed / _solid_angles(n).to(light) if angle == 0 else product(_blur(angle, n), summed)
+    if angle == 0:
+        return summed / outside(_solid_angles, n).to(light)
+    return product(outside(_blur, angle, n), summed)
 
 
 def turned(maps: Tensor, turn: Tensor) -> Tensor:
     """Blurred maps (k, cells, 4) of a light that is turned: in its frame, directions are turn @ those of the maps."""
-    axes = _axes(BLURRED_SIDE).to(maps) @ turn.to(maps)
+    axes = outside(_axes, BLURRED_SIDE).to(maps) @ turn.to(maps)
     light = light_about(maps, axes[:, None].expand(-1, len(maps), -1))  # shape: (cells, k, 3)
     return pad(bordered(light).transpose(0, 1), (0, 1)).contiguous()
 

@@ -14,6 +14,7 @@ from torch import Tensor
 from ptt.materials import shapes
 from ptt.materials.shapes import GGX, BlinnPhong, CookTorrance, Number, Shape, Ward, check, check_number
 from ptt.ops import brdf
+from ptt.ops.transforms import beneath, differentiated
 
 Colour = float | Sequence[float] | Tensor
 DIELECTRIC = 0.04  # reflectance straight on of glass and plastic, whose index of refraction is 1.5
@@ -65,7 +66,7 @@ class Material:
     def __init__(
         self, diffuse: Colour = 0.5, specular: Colour = 0.0, shape: Shape | None = None, *more: Highlight
     ) -> None:
-        if shape is None and bool((as_colour("specular", specular, math.inf) > 0).any()):
+        if shape is None and bool((beneath(as_colour("specular", specular, math.inf)) > 0).any()):
             raise ValueError("specular > 0 needs a shape, such as BlinnPhong(exponent) or GGX(f0, roughness)")
         first = () if shape is None else (Highlight(specular, shape),)
         object.__setattr__(self, "diffuse", as_colour("diffuse", diffuse, 1.0))
@@ -98,7 +99,7 @@ class Material:
     @property
     def shining(self) -> tuple[Highlight, ...]:
         """The highlights that reflect light: their colours are not all 0."""
-        return tuple(h for h in self.highlights if bool((h.colour > 0).any()))
+        return tuple(h for h in self.highlights if bool((beneath(h.colour) > 0).any()))
 
     @property
     def isotropic(self) -> bool:
@@ -178,7 +179,7 @@ def metal_rough(
     colour = as_colour("base", base, 1.0)
     straight = as_colour("reflectance", reflectance, 1.0)
     f0 = torch.lerp(straight, colour, float(metallic))
-    one = bool((f0 == f0[0]).all()) and not f0.requires_grad
+    one = bool((f0 == f0[0]).all()) and not differentiated(f0)
     return ggx((1 - metallic) * (1 - straight) * colour, 1.0, float(f0[0]) if one else f0, max(roughness, SMOOTHEST))
 
 

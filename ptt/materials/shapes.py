@@ -18,6 +18,7 @@ from torch import Tensor
 
 from ptt.ops import brdf, lobes
 from ptt.ops.directions import turn
+from ptt.ops.transforms import beneath, differentiated, is_batch
 
 Number = float | Tensor
 
@@ -194,7 +195,13 @@ def from_config(config: Mapping[str, Any]) -> Shape:
 
 
 def number(value: Number) -> float:
-    """A parameter as a plain number, without its gradient."""
+    """A parameter as a plain number, without its gradient.
+
+    Raises:
+        ValueError: it stands for a batch.
+    """
+    if isinstance(value, Tensor) and is_batch(value):
+        raise ValueError("parameters of shapes cannot be a batch of torch.func.vmap: loop over them")
     return float(value.detach()) if isinstance(value, Tensor) else float(value)
 
 
@@ -209,14 +216,14 @@ def shape_key(shape: Shape) -> tuple[object, ...]:
 
 
 def carries_gradient(shape: Shape) -> bool:
-    """Tell whether a parameter requires a gradient."""
+    """Tell whether a parameter has a derivative that is asked for."""
     if isinstance(shape, Blend):
-        return any(map(carries_gradient, shape.shapes)) or any(map(_requires_grad, shape.weights))
-    return any(map(_requires_grad, parameters(shape).values()))
+        return any(map(carries_gradient, shape.shapes)) or any(map(_differentiated, shape.weights))
+    return any(map(_differentiated, parameters(shape).values()))
 
 
-def _requires_grad(value: Number) -> bool:
-    return isinstance(value, Tensor) and value.requires_grad
+def _differentiated(value: Number) -> bool:
+    return isinstance(value, Tensor) and differentiated(value)
 
 
 def looks_isotropic(shape: Shape) -> bool:
@@ -235,7 +242,7 @@ def looks_isotropic(shape: Shape) -> bool:
 
 def check(name: str, value: Number | Sequence[float], low: float, high: float) -> None:
     """Raise ValueError unless every value is finite and within the bounds."""
-    v = torch.as_tensor(value, dtype=torch.float64).detach()
+    v = beneath(torch.as_tensor(value, dtype=torch.float64)).detach()
     least, most = (float(end) for end in v.aminmax())
     rounded = 1e-6  # float32 may hold a bound a little beside itself
     if not (low * (1 - rounded) <= least and most <= high * (1 + rounded) and math.isfinite(most)):

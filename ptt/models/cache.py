@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.marks import mark, version
+from ptt.ops.transforms import active, outside, stands_in
 
 SMALL = 64  # tensors of up to this many elements are compared by value
 
@@ -51,25 +52,28 @@ class Cache:
     def __call__(self, inputs: Any, compute: Callable[[], Any]) -> Any:
         """`compute()`, or its last result if `inputs` (tensors, `Watch`, dataclasses, mappings, values) are the same.
 
-        Results that carry gradients or were made from inference tensors are not kept: their graph serves once.
+        Results that carry derivatives, or stand for a batch, or were made from inference tensors are not kept: they
+        serve once. What is kept under a transform of torch.func is made outside of it.
         """
         stamp = _stamp_of(inputs)
         if stamp is None:
             return compute()
         kept, result = self._kept  # both at once, and written so: other threads may ask too
         if not _same(kept, stamp):
-            result = compute()
+            result = outside(compute)
             self._kept = (stamp, result)
         return result
 
 
 @opaque
 def _stamp_of(inputs: Any) -> Any:
-    """What tells inputs from others; None where they carry gradients or are inference tensors."""
+    """What tells inputs from others; None where what is made of them is not to be kept."""
     leaves: list[Tensor] = []
     stamp = _stamp(inputs, leaves)
     recorded = torch.is_grad_enabled()
     if any([t.is_inference() or (recorded and t.requires_grad) for t in leaves]):
+        return None
+    if active() and any(map(stands_in, leaves)):
         return None
     return stamp, torch.is_inference_mode_enabled()
 
@@ -83,7 +87,7 @@ def _stamp(value: Any, leaves: list[Tensor], given: bool = False) -> Any:
     """What tells a value from others; dataclasses are a user's, and so is all that is in them."""
     if isinstance(value, Tensor):
         leaves.append(value)
-        if value.is_inference():
+        if value.is_inference() or stands_in(value):
             return None
         if value.layout == torch.strided and value.numel() <= SMALL:
             return value.dtype, value.device, value.shape, value.tolist()

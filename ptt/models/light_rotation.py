@@ -17,6 +17,7 @@ from ptt.ops import native, plain, rotation
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
 from ptt.ops.rotation import SAMPLES, Quantised, Resampling
+from ptt.ops.transforms import beneath, differentiated, is_batch
 
 Operator = Literal["factored", "resample", "matrix"]
 """The form of R = W_M S W_N^T.
@@ -162,7 +163,7 @@ class LightRotation(nn.Module):
     def _by_matrix(self, light: Tensor) -> Tensor:
         """R L."""
         matrix = Quantised(self.starts, self.columns, self.numbers, float(self.unit))
-        if self.compiled and not (torch.is_grad_enabled() and light.requires_grad):
+        if self.compiled and not differentiated(light) and not is_batch(light):
             return native.rotated_light(light, matrix, self.m)
         csr: Tensor = self._csr((watched(self), light.dtype), lambda: matrix.to_csr(self.n**2, light.dtype))
         return rotation.rotated_light(light, csr, self.m)
@@ -171,7 +172,7 @@ class LightRotation(nn.Module):
     def _check(self, coefficients: Tensor) -> None:
         if coefficients.ndim != 3 or coefficients.shape[1:] != (self.n, self.n):
             raise ValueError(f"coefficients must be (c, {self.n}, {self.n}), got {tuple(coefficients.shape)}")
-        if not bool(coefficients.isfinite().all()):
+        if not bool(beneath(coefficients).isfinite().all()):
             raise ValueError("coefficients must be finite")
 
     def save(self, path: str | PathLike[str]) -> None:

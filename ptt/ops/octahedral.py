@@ -30,6 +30,7 @@ from torch import Tensor
 from ptt.ops.constants import TILE
 from ptt.ops.directions import checked_directions, triangle_solid_angles, unit
 from ptt.ops.sphere import Squares, at_least_one, centres, crossed, step_index
+from ptt.ops.transforms import active
 
 
 def octahedral(d: Tensor) -> Tensor:
@@ -196,6 +197,9 @@ def _last(parts: Sequence[Tensor]) -> Tensor:
 
 def mix(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:
     """Weighted sums (n, x) of rows of a table (cells, x), by index and weights (n, j)."""
+    if active():  # the function below has no tangents, and takes batches one by one
+        parts = [table[row] * weight[:, None] for row, weight in zip(index.unbind(1), weights.unbind(1), strict=True)]
+        return torch.stack(parts).sum(0)
     return torch.nn.functional.embedding_bag(index, table, per_sample_weights=weights, mode="sum")
 
 

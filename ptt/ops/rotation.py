@@ -35,8 +35,10 @@ from torch import Tensor
 
 from ptt.ops import haar
 from ptt.ops.octahedral import Octahedral, mix
+from ptt.ops.sparse import product
 from ptt.ops.sphere import Grid
 from ptt.ops.table import Table, stored
+from ptt.ops.transforms import active, beneath, outside
 
 SAMPLES = 4  # along the edge of a target's cell
 _LOOKUPS = 1 << 20  # a block
@@ -113,6 +115,9 @@ def resampling(source: Grid, target: Grid, frames: Tensor, samples: int = SAMPLE
 
 def resample(values: Tensor, s: Resampling) -> Tensor:
     """Local maps (f * M, c) of a source's values (N, c); differentiable in them."""
+    if active():  # the function below has no tangents, and takes batches one by one
+        tables = Resampling(beneath(s.starts), beneath(s.reads), s.samples)
+        return product(outside(tables.to_csr, len(values), values.dtype), values)
     return torch.nn.functional.embedding_bag(
         s.cells.long(),
         values,
@@ -246,7 +251,7 @@ def column_type(n: int) -> torch.dtype:
 
 def rotated_light(coefficients: Tensor, matrix: Tensor, m: int) -> Tensor:
     """R L: Haar coefficients (f, M, c) in local frames from those of the source (c, n, n), R sparse (f * M, N)."""
-    light: Tensor = matrix @ coefficients.flatten(1).T
+    light = product(matrix, coefficients.flatten(1).T)
     return light.reshape(-1, m * m, len(coefficients))
 
 

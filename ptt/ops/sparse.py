@@ -37,6 +37,11 @@ class _Product(torch.autograd.Function):
         return _product(gradient, _Held(ctx.held.matrix, not ctx.held.transposed)), None
 
     @staticmethod
+    def vmap(info: Any, in_dims: tuple[int | None, None], dense: Tensor, held: _Held) -> tuple[Tensor, int]:
+        columns = dense.movedim(in_dims[0] or 0, -1)  # shape: (n, k, batch)
+        return _product(columns.flatten(1), held).unflatten(1, columns.shape[1:]), 2
+
+    @staticmethod
     def jvp(ctx: Any, tangent: Tensor, _: None) -> Tensor:
         return _product(tangent, ctx.held)
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from ptt.ops.constants import TINY
+from ptt.ops.transforms import stands_in
 
 LARGEST = {torch.float16: 32.0, torch.uint8: 255.0}  # of a row as it is stored: sums of products stay within float16
 
@@ -37,9 +38,9 @@ class Table(NamedTuple):
 def stored(values: Tensor, storage: torch.dtype) -> Table:
     """A table of values (f, ..., n): float32, or 16 or 8 bits, in which the largest of each row is `LARGEST`.
 
-    With gradients, and of float64 values, as they are.
+    With derivatives or of a batch (`ptt.ops.transforms`), and of float64 values, as they are.
     """
-    exact = values.dtype == torch.float64 or (torch.is_grad_enabled() and values.requires_grad)
+    exact = values.dtype == torch.float64 or (torch.is_grad_enabled() and values.requires_grad) or stands_in(values)
     if exact or storage == torch.float32:
         return Table(values, values.new_ones(len(values)))
     scale = values.flatten(1).abs().amax(1).clamp(min=TINY) / LARGEST[storage]

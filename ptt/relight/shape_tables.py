@@ -9,6 +9,7 @@ import torch
 
 from ptt.materials.shapes import Shape, carries_gradient, shape_key
 from ptt.ops.compiling import in_python
+from ptt.ops.transforms import outside
 
 T = TypeVar("T")
 REMEMBERED = 32  # shapes: a material with textures has up to 26 at once
@@ -28,11 +29,11 @@ class ShapeTables(Generic[T]):
         Raises:
             ValueError: a parameter requires a gradient, which a table would lose.
         """
-        if torch.is_grad_enabled() and carries_gradient(shape):
+        if carries_gradient(shape):
             raise ValueError("shapes carry no gradients here: detach the parameters, or use TransferRelighter")
         key = shape_key(shape), device
         if key not in self._kept:
             while len(self._kept) >= REMEMBERED:
                 self._kept.pop(next(iter(self._kept)))
-            self._kept[key] = self._make(shape)
+            self._kept[key] = outside(self._make, shape)
         return self._kept[key]

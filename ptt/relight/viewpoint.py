@@ -8,6 +8,7 @@ from torch.nn.functional import normalize
 
 from ptt.imaging.gbuffer import GBuffer
 from ptt.ops.compiling import opaque
+from ptt.ops.transforms import beneath
 from ptt.scene.camera import Camera
 from ptt.scene.scene import Scene
 
@@ -36,7 +37,8 @@ def eye_of(view: View, positions: Tensor) -> Tensor:
         raise ValueError(f"view must be a Camera, a GBuffer or a tensor, got {view!r}")
     if view.shape not in ((3,), positions.shape):
         raise ValueError(f"view must be a Camera, (3,) or {tuple(positions.shape)}, got {tuple(view.shape)}")
-    if not bool(torch.isfinite(view).all()) or (view.ndim == 2 and not bool((view != 0).any(1).all())):
+    finite = bool(beneath(view).isfinite().all())
+    if not finite or (view.ndim == 2 and not bool(beneath((view != 0).any(1)).all())):
         raise ValueError("view must be finite, and directions not zero")
     view = view.to(positions)
     return view if view.ndim == 1 else normalize(view, dim=1)

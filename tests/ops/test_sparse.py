@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from torch.func import grad, jvp
+from torch.func import grad, jvp, vmap
 
 from ptt.ops.sparse import product
 
@@ -19,3 +19,9 @@ def test_product_and_derivatives() -> None:
     value = x.detach()
     torch.testing.assert_close(grad(lambda y: product(matrix, y).sin().sum())(value), dense.T @ (dense @ value).cos())
     torch.testing.assert_close(jvp(lambda y: product(matrix, y), (value,), (value,))[1], dense @ value)
+    batch = torch.randn(4, 3, 6, generator=random, dtype=torch.float64)
+    each = torch.stack([dense @ batch[..., k] for k in range(6)])
+    torch.testing.assert_close(vmap(lambda y: product(matrix, y), in_dims=2)(batch), each)
+    torch.testing.assert_close(
+        vmap(grad(lambda y: product(matrix, y).sin().sum()), in_dims=2)(batch), dense.T @ each.cos()
+    )

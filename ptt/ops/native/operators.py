@@ -16,6 +16,7 @@ from torch.autograd import forward_ad
 
 from ptt.ops.compiling import inlined, opaque
 from ptt.ops.native.kernels import available
+from ptt.ops.transforms import active, stands_in
 
 LIBRARY = torch.library.Library("ptt", "DEF")
 Conditions = Iterable[tuple[bool, str]]
@@ -76,9 +77,12 @@ def operator(
         if torch.compiler.is_compiling():
             return defined(*arguments)
         tensors = _tensors(arguments)
-        if not _only_cpu(tensors) or _differentiated(tensors):
-            return defined(*arguments)
-        return straight(*arguments)
+        if _only_cpu(tensors) and not _differentiated(tensors):
+            return straight(*arguments)
+        if active() and any(map(stands_in, tensors)):
+            _note(name, "derivatives or batches of torch.func are asked for")
+            return plain(*arguments)
+        return defined(*arguments)
 
     LIBRARY.impl(name, plain, "CompositeExplicitAutograd")
     LIBRARY.impl(name, on_cpu, "CPU")
