@@ -3,6 +3,7 @@
     python -m bench.inputs                     # about three minutes on two cores
     python -m bench.inputs --quick             # a fifth of the generated files, nothing written
     python -m bench.inputs reading             # the times alone; the other rows stay
+    python -m bench.inputs "one model"         # four materials relit and edited (bench.one_model)
     python -m bench.inputs --models FOLDER     # test models to read, beside those of PTT_DATA; or PTT_MODELS=a:b
 
 Files are read in another process, which may crash or hang. Peers read in the same run: trimesh the models and the large
@@ -32,7 +33,7 @@ import trimesh
 from numpy.typing import NDArray
 
 import ptt
-from bench import broken_gltf, generated_exr, generated_gltf, generated_hdr, generated_obj, generated_ply
+from bench import broken_gltf, generated_exr, generated_gltf, generated_hdr, generated_obj, generated_ply, one_model
 from bench.generated_files import Case, Verdict, judge, survives
 from bench.table import Table, median_seconds, setting
 from ptt.io import by_oiio
@@ -373,6 +374,7 @@ SECTIONS: dict[str, Callable[[Table, argparse.Namespace], None]] = {
     "random bytes": changed,
     "test models": models,
     "reading": large,
+    "one model": one_model.rows,
 }
 """What rows begin with, and what measures them."""
 

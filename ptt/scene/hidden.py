@@ -32,7 +32,12 @@ def without_hidden(scene: Scene) -> Scene:
     for index, region in enumerate(scene.regions):
         if not bool(keep[scene.face_region == index].any()):
             raise ValueError(f"region {region.name!r} is hidden: nothing of it sees a way out of the scene")
-    rows, renumbered = faces[keep].unique(return_inverse=True)
+    return only(scene, keep)
+
+
+def only(scene: Scene, keep: Tensor) -> Scene:
+    """The scene with those of its triangles that keep (f,) holds, and their vertices."""
+    rows, renumbered = scene.faces[keep].unique(return_inverse=True)
     names = ("vertices", "normals", "tangents", "vertex_region", "colours")
     parts = {name: getattr(scene, name)[rows] for name in names}
     optional = {"uv": scene.uv, "tints": scene.tints}
