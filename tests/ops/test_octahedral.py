@@ -283,3 +283,18 @@ def test_empty_and_odd_maps_are_refused() -> None:
     for make in (lambda: HemiOctahedral(0), lambda: HemiOctahedral(1).refine(0), lambda: Octahedral(2).refine(0)):
         with pytest.raises(ValueError, match="at least 1"):
             make()
+
+
+def test_samples_have_tangents() -> None:
+    """Forward derivatives, which torch's own lookup lacks, are what reverse ones are; values are the same."""
+    g = torch.Generator().manual_seed(5)
+    tables = torch.rand(2, 3, 5, 4, generator=g, dtype=torch.float64)
+    ab = torch.rand(2, 2, 40, generator=g, dtype=torch.float64) * 2.4 - 1.2
+    tangent = torch.rand(2, 2, 40, generator=g, dtype=torch.float64)
+    values, forward = torch.func.jvp(lambda at: sampled(tables, at), (ab,), (tangent,))[:2]
+    assert torch.allclose(values, sampled(tables, ab))
+    at = ab.clone().requires_grad_()
+    lit = sampled(tables, at)
+    direction = torch.rand(lit.shape, generator=g, dtype=torch.float64)
+    (reverse,) = torch.autograd.grad((lit * direction).sum(), at)
+    assert torch.allclose((forward * direction).sum(), (reverse * tangent).sum())
