@@ -60,7 +60,7 @@ def four_forms(
 
 
 def block(relighter: Any, change: Callable[[int], tuple[Any, ...]], repeats: int) -> list[float]:
-    """The seconds of frames one after the other, at least so many, after two that compile, fill the caches and calm the threads."""
+    """The seconds of at least so many frames, after two that compile, fill the caches and calm the threads."""
     seconds: list[float] = []
     while len(seconds) < 2 + repeats or sum(seconds[2:]) < LASTING:
         inputs = change(next(NUMBERS))

@@ -19,6 +19,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 from torch.utils.weak import WeakTensorKeyDictionary
 
+from ptt.light.lamps import Lamps, apart
 from ptt.ops import latlong, lobes
 from ptt.ops.marks import mark
 from ptt.ops.octahedral import Octahedral, bordered
@@ -29,8 +30,8 @@ from ptt.ops.view import light_about
 
 FINE_SIDE = 256  # cells along an edge of the map from which lighting is read
 BLURRED_SIDE = 128  # cells along an edge of the blurred maps
-# Cells along an edge of the maps that are blurred, by the lobe [degrees]: the wider the lobe, the coarser
-SOURCE_SIDE = {7.0: 128, 14.0: 64, 21.0: 32}
+# Cells along an edge of the maps that are blurred, for lobes of at least so many degrees: the wider, the coarser
+SOURCE_SIDES = {21.0: 32, 14.0: 64}
 
 
 class LightMaps(NamedTuple):
@@ -38,10 +39,13 @@ class LightMaps(NamedTuple):
 
     fine (FINE_SIDE ** 2, 4): mean light of each cell
     blurred (k, (BLURRED_SIDE + 2) ** 2, 4): mean light under each lobe, on maps that are `bordered`
+    lamps: what is small and bright, none unless they are kept apart; rest: as `blurred`, without the lamps
     """
 
     fine: Tensor
     blurred: Tensor
+    lamps: Lamps
+    rest: Tensor
 
 
 Means = Callable[[Tensor, int, int, float], Tensor]
@@ -53,19 +57,21 @@ def light_maps(
     texels: Tensor,
     angles: Sequence[float],
     octahedral_means: Means = latlong.octahedral_means,
+    lamps: bool = False,
 ) -> LightMaps:
     """The maps of a light's texels (h, w, 3), for lobes of the given widths [degrees]; made once, until texels change.
 
     octahedral_means: `ptt.ops.latlong.octahedral_means`, or its kernel
+    lamps: says whether lamps are kept apart
     """
     if texels.is_inference() or (torch.is_grad_enabled() and texels.requires_grad) or stands_in(texels):
-        return _made(texels, angles, octahedral_means)
+        return _made(texels, angles, octahedral_means, lamps)
     made = _READY.setdefault(texels, {})
     now = mark(texels)
-    key = (now, tuple(angles), octahedral_means)
+    key = (now, tuple(angles), octahedral_means, lamps)
     if key not in made:
         with torch.inference_mode(False), torch.no_grad():
-            ready = outside(_made, texels, angles, octahedral_means)
+            ready = outside(_made, texels, angles, octahedral_means, lamps)
         stale = [other for other in made if other[0] != now]
         for other in stale:
             del made[other]
@@ -73,18 +79,28 @@ def light_maps(
     return made[key]
 
 
-def _made(texels: Tensor, angles: Sequence[float], octahedral_means: Means) -> LightMaps:
+def _made(texels: Tensor, angles: Sequence[float], octahedral_means: Means, lamps: bool) -> LightMaps:
     texels, samples, arc = latlong.sampled(texels, Octahedral(FINE_SIDE))
     fine = octahedral_means(texels, FINE_SIDE, samples, arc)
-    light = (fine * outside(_solid_angles, FINE_SIDE).to(fine)).reshape(FINE_SIDE, FINE_SIDE, 3)
-    blurred = [_blurred(light, angle) for angle in angles]
-    around = [bordered(each) for each in blurred] or [fine.new_zeros(0, 3)]
-    return LightMaps(pad(fine, (0, 1)), pad(torch.stack(around), (0, 1))[: len(angles)])
+    solid_angles = outside(_solid_angles, FINE_SIDE).to(fine)
+    found, rest = Lamps.none(fine), fine
+    if lamps:
+        found, rest = apart(fine, outside(_axes, FINE_SIDE).to(fine), solid_angles)
+    blurred = _all_blurred(fine * solid_angles, angles)
+    left = _all_blurred(rest * solid_angles, angles) if len(found.directions) else blurred
+    return LightMaps(pad(fine, (0, 1)), blurred, found, left)
+
+
+def _all_blurred(light: Tensor, angles: Sequence[float]) -> Tensor:
+    """Maps (k, cells, 4) of light times solid angle (n, 3) under each lobe."""
+    light = light.reshape(FINE_SIDE, FINE_SIDE, 3)
+    around = [bordered(_blurred(light, angle)) for angle in angles] or [light.new_zeros(0, 3)]
+    return pad(torch.stack(around), (0, 1))[: len(angles)]
 
 
 def _blurred(light: Tensor, angle: float) -> Tensor:
     """The mean (BLURRED_SIDE ** 2, 3) under a lobe of light times solid angle (FINE_SIDE, FINE_SIDE, 3)."""
-    n = SOURCE_SIDE.get(angle, BLURRED_SIDE)
+    n = next((side for least, side in SOURCE_SIDES.items() if angle >= least), BLURRED_SIDE)
     summed = Octahedral(n).coarsen(light, FINE_SIDE // n).reshape(-1, 3)
     if angle == 0:
         return summed / outside(_solid_angles, n).to(light)
@@ -124,7 +140,7 @@ def _blur(angle: float, n: int) -> Tensor:
     """The matrix (BLURRED_SIDE ** 2, n * n), sparse CSR, from light times solid angle to mean light under a lobe."""
     cells = _axes(n)
     axes = _axes(BLURRED_SIDE)
-    chord = 2 * sin(radians(angle) / 2)
+    chord = 2 * sin(radians(min(angle, 180.0)) / 2)
     near = cKDTree(axes.numpy()).sparse_distance_matrix(cKDTree(cells.numpy()), chord, output_type="coo_matrix")
     row = torch.from_numpy(near.row).long()
     column = torch.from_numpy(near.col).long()

@@ -101,6 +101,11 @@ class Material:
         """The highlights that reflect light: their colours are not all 0."""
         return tuple(h for h in self.highlights if bool((beneath(h.colour) > 0).any()))
 
+    def glossy(self, wi: Tensor, wo: Tensor) -> Tensor:
+        """What its highlights reflect (..., 3) [1/sr], for local unit directions (..., 3)."""
+        parts = [h.shape.evaluate(wi, wo)[..., None] * h.colour.to(wi) for h in self.highlights]
+        return sum(parts[1:], parts[0])
+
     @property
     def isotropic(self) -> bool:
         """Tell whether a turn about the normal changes nothing."""

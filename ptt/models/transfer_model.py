@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -21,6 +21,9 @@ from ptt.ops.haar import Truncated
 from ptt.ops.sphere import Cube
 
 KIND = "transfer model"
+Highlights = Literal["lobes", "tensor"]
+"""How points reflect direct light glossily: by narrow lobes made for each material (`ptt.ops.gloss`), or by the BRDF
+tensor and its lobes (Sun et al. 2007)."""
 
 
 class SparseTransfer(NamedTuple):
@@ -82,6 +85,7 @@ class TransferModel(nn.Module):
     resolution: cells along an edge of the cube map
     bounces: that are shown: 0 for direct light, 1 or 2
     truncation_error: relative L2 error of T0 that leaving out the other coefficients makes
+    highlights: how points reflect direct light glossily; with "lobes", T0 has the diffuse factor alone
     """
 
     kept: Tensor
@@ -113,6 +117,7 @@ class TransferModel(nn.Module):
         sparse: SparseTransfer | None,
         regions: Sequence[ClusteredTransfer],
         truncation_error: float,
+        highlights: Highlights = "tensor",
     ) -> None:
         super().__init__()
         self.receivers = receivers
@@ -122,6 +127,7 @@ class TransferModel(nn.Module):
         self.resolution = resolution
         self.bounces = bounces
         self.truncation_error = truncation_error
+        self.highlights = highlights
         for name, tensor in {**(sparse._asdict() if sparse else {}), **receivers.tensors()}.items():
             self.register_buffer(name, tensor)
 
@@ -174,7 +180,7 @@ class TransferModel(nn.Module):
             parts[name] = region
         brdf = self.brdf if brdf is None else self._taken_over(brdf)
         sparse = None if parts else SparseTransfer(self.kept, self.columns, self.values)
-        settings = self.resolution, self.bounces, sparse, list(parts.values()), self.truncation_error
+        settings = self.resolution, self.bounces, sparse, list(parts.values()), self.truncation_error, self.highlights
         made = TransferModel(self.receivers, brdf, self.basis, *settings)
         for name in self.receivers.tensors():
             made.register_buffer(name, self.get_buffer(name))
@@ -200,6 +206,7 @@ class TransferModel(nn.Module):
             "clustered": [region.config() for region in self.clustered],
             "functions": self.basis.mixture.shape[1] if self.basis else None,
             "truncation_error": self.truncation_error,
+            "highlights": self.highlights,
             "ranks": list(self.brdf.core.shape),
             "disk": self.brdf.u_i.shape[1],
             "lobes": list(self.brdf.peaks.shape[1:]),
@@ -231,7 +238,7 @@ class TransferModel(nn.Module):
                     ClusteredTransfer.restore(part, _under(f"regions.{r}.", tensors), Cube(resolution).cells, slots)
                     for r, part in enumerate(config["clustered"])
                 ]
-                return cls(receivers, brdf, basis, resolution, bounces, None, regions, error)
+                return cls(receivers, brdf, basis, resolution, bounces, None, regions, error, config["highlights"])
             t0 = SparseTransfer(*(tensors[name] for name in SparseTransfer._fields))
             _check_rows(t0, Cube(resolution).cells)
             return cls(receivers, brdf, None, resolution, bounces, t0, [], error)
@@ -285,6 +292,7 @@ def _expected(config: dict[str, Any]) -> saved.Shapes:
         "basis.error": (torch.float32, (samples,)),
     }
     for r, (part, region) in enumerate(zip(config["clustered"], config["regions"], strict=True)):
-        shapes = ClusteredTransfer.expected(part, region["points"], 1 + i)
+        factors = 1 if config["highlights"] == "lobes" else 1 + i
+        shapes = ClusteredTransfer.expected(part, region["points"], factors)
         expected |= {f"regions.{r}.{name}": shape for name, shape in shapes.items()}
     return expected

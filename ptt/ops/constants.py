@@ -11,6 +11,33 @@ HARMONICS = 16
 MOST_LOBES = 4
 """Lobes of a BRDF tensor: a word of fractional visibility holds a byte for each."""
 
+MOST_CELLS = 64
+"""Lobes of a material whose f is cut to cells, in the kernel."""
+
+TILTS = 48
+"""Cosines of wo at which such lobes are tabulated."""
+
+RINGS = 136
+"""Rings about the normal, of half vectors for which f is sampled: four for twice the squared slope."""
+
+SECTORS = 16
+"""Sectors of half a ring."""
+
+SHARPEST = -24
+"""A power of two, about the square of the smallest slope that f is sampled for: that of GGX of roughness 0.015."""
+
+HEAD_ON = 1e-4
+"""The sine of the angle to the normal from which a direction has an azimuth: float32 knows it to 1e-3 there."""
+
+LEVELS = 10
+"""Widths of lobes that light is blurred to, each the root of two times the one before; the last covers 56 degrees."""
+
+BITS = 64
+"""Cells along the edge of the map of bits of what a point sees."""
+
+CUTS = 3
+"""Widths of lobes of which a word of fractional visibility holds the visible share."""
+
 TILE = 4
 """Cells along the edge of a tile of fractional visibility: 16 words of 4 bytes fill a cache line of 64."""
 

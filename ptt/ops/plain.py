@@ -1,5 +1,6 @@
 """The plain functions that `ptt.ops.native` has kernels for, by the same names: their oracles and derivatives."""
 
+from ptt.ops.gloss import shine
 from ptt.ops.latlong import octahedral_means
 from ptt.ops.near import of_frames, of_texels, of_views
 from ptt.ops.relight import eigen, expand, light_eigen, lighting
@@ -26,5 +27,6 @@ __all__ = [
     "resampled_values",
     "rotated_light",
     "shade",
+    "shine",
     "view",
 ]

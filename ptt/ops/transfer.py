@@ -92,6 +92,21 @@ def lobe_visibility(
     return torch.cat(parts).reshape(len(bits), cells * cells, len(angles))
 
 
+def local_bits(bits: Tensor, frames: Tensor, grid: Cube, cells: int) -> Tensor:
+    """What points see of their own hemispheres, packed (v, cells * cells / 32) int32: a bit for each cell of a
+    `HemiOctahedral` map with so many along an edge.
+
+    bits, frames, grid: as for `lobe_visibility`
+    """
+    local = HemiOctahedral(cells).directions().reshape(-1, 3).to(frames)
+    parts = []
+    for some, turned in zip(bits.split(POINTS_AT_ONCE), frames.split(POINTS_AT_ONCE), strict=True):
+        seen = unpack(some, grid.cells).gather(1, grid.cell(local @ turned))
+        packed = np.packbits(seen.numpy(), axis=1, bitorder="little")
+        parts.append(torch.from_numpy(packed).view(torch.int32))
+    return torch.cat(parts)
+
+
 @cache
 def _lobe_filters(cells: int, fine: int, angles: tuple[float, ...]) -> Tensor:
     """Weights (fine * fine, cells * cells * k) of the fine cells under each lobe about each axis; they sum to 1."""

@@ -59,8 +59,8 @@ class LitLobes(NamedTuple):
 
     which (k,) int64: of the bytes of the cuts; rho (turns * tilts, k); axes (tilts, 2 k): along, then up (`lobes.lean`)
     specular (c,)
-    maps (k, cells, 4): E_k on a `bordered` octahedral map, three channels and a zero; turn (3, 3): of the light,
-        world = turn @ map
+    maps (k, cells, 4): E_k on a `bordered` octahedral map, three channels and a zero; None for light that bounced alone
+    turn (3, 3): of the light, world = turn @ map
     blurs (k, s): z_k
     """
 
@@ -68,7 +68,7 @@ class LitLobes(NamedTuple):
     rho: Tensor
     axes: Tensor
     specular: Tensor
-    maps: Tensor
+    maps: Tensor | None
     turn: Tensor
     blurs: Tensor
 
@@ -110,7 +110,7 @@ def _radiance(
     points: SurfaceBlocks, eye: Tensor, sent: OutgoingLight, gloss: LitLobes | None, outgoing: Tensor
 ) -> Tensor:
     """B (b, c, w) of points in blocks."""
-    wo = _toward(points, eye)
+    wo = local_directions(points, eye)
     values = sent.values.to(outgoing.dtype) * sent.unit[..., None]
     o = 1 + outgoing.shape[1]
     diffuse = values[:, :, 0]
@@ -122,10 +122,13 @@ def _radiance(
         rho, leant = _leant(gloss, _blocks(wo, values))
         sideways = -wo[:2]
         axes = torch.cat((leant[0] * sideways[:, None], leant[1:]))
-        seen = rho * _through(points.cuts, axes, gloss.which)
-        plane = torch.stack((_sums(points.frame[:2], sideways[:, None]), points.frame[2]))  # of all axes, in the world
-        light = light_about(gloss.maps, _sums((gloss.turn.T @ plane)[:, :, None], leant[:, None]).permute(2, 1, 0))
-        lit = _blocks(_sums(seen[:, None], light.permute(1, 2, 0)), values)
+        lit = torch.zeros_like(out)
+        if gloss.maps is not None:
+            seen = rho * _through(points.cuts, axes, gloss.which)
+            plane = torch.stack((_sums(points.frame[:2], sideways[:, None]), points.frame[2]))  # of all axes
+            about = _sums((gloss.turn.T @ plane)[:, :, None], leant[:, None])
+            light = light_about(gloss.maps, about.permute(2, 1, 0))
+            lit = _blocks(_sums(seen[:, None], light.permute(1, 2, 0)), values)
         if values.shape[2] > o:
             mean = _sums(rho[:, None], axes.transpose(0, 1))
             axis = mean / mean.square().sum(0).clamp(min=TINY).sqrt()
@@ -135,7 +138,7 @@ def _radiance(
     return out
 
 
-def _toward(points: SurfaceBlocks, eye: Tensor) -> Tensor:
+def local_directions(points: SurfaceBlocks, eye: Tensor) -> Tensor:
     """Local directions (3, n) to the eye."""
     local = _sums(points.frame.transpose(0, 1), toward(eye, points.position, 0)[:, None])
     here = (local == 0).all(0)  # an eye in a point looks along its normal

@@ -8,8 +8,10 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import pad
 
 from ptt.light.environment import Environment
+from ptt.light.lamps import Lamps
 from ptt.materials.material import Material
 from ptt.materials.varying import SurfaceMaterial, Varying, all_shares
 from ptt.models import slots
@@ -19,21 +21,24 @@ from ptt.models.indirect import COARSE, COARSEST, ORDER, blurs, responses
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import harmonics
 from ptt.ops.compiling import in_python, opaque, uncompiled
+from ptt.ops.constants import LEVELS
+from ptt.ops.gloss import Gloss, GlossLight, gloss_of, width
 from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
 from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion
-from ptt.relight.light_step import LightStep
+from ptt.relight.light_step import BlurredLight, LightStep
 from ptt.relight.operations import operations
 
+WIDTHS = (0.0, *(width(level) for level in range(1, LEVELS)))
+"""Degrees that narrow lobes cover, by their levels; the first is as narrow as the maps are."""
 DULL = 1e-4
 """A lobe that reflects no more than this is left out: a hundredth of what eight bits of visibility resolve."""
 
 
 class ClusterLight(NamedTuple):
-    """Under one light: what arrives in every region; the blurred maps (k, cells, 4), and the turn of the light."""
+    """Under one light: what arrives in every region, and the light as lobes see it."""
 
     arriving: list[ArrivingLight]
-    maps: Tensor
-    turn: Tensor
+    blurred: BlurredLight
 
 
 class MaterialLobes(NamedTuple):
@@ -47,11 +52,13 @@ class MaterialLobes(NamedTuple):
 
 
 class LayerTables(NamedTuple):
-    """A layer of a region's material: M (c, 1 + o, 1 + i), the lobes of its highlights, and how much of it there is at
-    each of the region's points (n, c), None for all."""
+    """A layer of a region's material: M (c, 1 + o, 1 + i), the lobes of its highlights, its narrow lobes, None where
+    the tensor reflects direct light, and how much of it there is at each of the region's points (n, c), None for
+    all."""
 
     coupling: Tensor
     lobes: list[MaterialLobes]
+    gloss: Gloss | None
     share: Tensor | None
 
 
@@ -65,11 +72,13 @@ class RegionMaterial(NamedTuple):
 
 
 class Layer(NamedTuple):
-    """A part of what a region sends out: Q and I (b, c, 1 + o + s, w), the lobes that I lights, and how much of it all
-    there is at each point (n, c), None for all. whole: says whether there is a Q, or I alone."""
+    """A part of what a region sends out: Q and I (b, c, 1 + o + s, w), the lobes that I lights, those that direct light
+    does, and how much of it all there is at each point (n, c), None for all. whole: says whether there is a Q, or I
+    alone."""
 
     sent: OutgoingLight
     lobes: LitLobes | None
+    gloss: tuple[Gloss, GlossLight] | None
     share: Tensor | None
     whole: bool
 
@@ -120,12 +129,14 @@ class ClusterSteps(nn.Module):
     rows: Tensor
     keep: Tensor
 
-    def __init__(self, model: TransferModel, compiled: bool) -> None:
+    def __init__(self, model: TransferModel, compiled: bool, lobes: int) -> None:
         super().__init__()
         assert model.basis is not None
         self.model = model
         self.basis = model.basis
-        self.light = LightStep(model.grid, model.brdf.angles, compiled)
+        self.narrow = model.highlights == "lobes"
+        self.count = lobes
+        self.light = LightStep(model.grid, WIDTHS if self.narrow else model.brdf.angles, compiled, self.narrow)
         rows, keep = slots.chosen(model.slots, model.basis.table.shape[1])
         tensors = {
             "to_factors": responses(model.brdf),
@@ -151,8 +162,8 @@ class ClusterSteps(nn.Module):
     @uncompiled
     def incident(self, environment: Environment) -> ClusterLight:
         """The light step."""
-        light, maps, turn = self.light.with_lobes(environment)
-        return ClusterLight(self.arriving(light), maps, turn)
+        blurred = self.light.with_lobes(environment)
+        return ClusterLight(self.arriving(blurred.light), blurred)
 
     def arriving(self, light: Tensor) -> list[ArrivingLight]:
         """What arrives at the eigen-points of every region, of lighting (c, 6, n, n)."""
@@ -165,6 +176,8 @@ class ClusterSteps(nn.Module):
         light_eigen = self._operations.light_eigen
         e = region.eigenvectors
         direct = light_eigen(region.direct, fine, region.columns).unflatten(2, (e, -1))
+        if self.narrow:  # the other factors are of light that bounced alone
+            direct = pad(direct, (0, self.to_factors.shape[1] - 1))
         reduced = light_eigen(region.lighting, coarse)  # shape: (k, c, n)
         one = light_eigen(region.one, reduced).unflatten(2, (len(region.slots), e, ORDER**2))
         two = light_eigen(region.two, coarsest).unflatten(2, (len(region.pairs), e))
@@ -212,7 +225,16 @@ class ClusterSteps(nn.Module):
         coloured = brdf.space.mixed(highlights)
         lobes = [self._lobes(*highlight) for highlight in highlights] if brdf.angles else []
         coupling = brdf.coupling(material, coloured)
-        return LayerTables(coupling, [one for one in lobes if one is not None], share), coloured
+        gloss = self._gloss(material) if self.narrow else None
+        return LayerTables(coupling, [one for one in lobes if one is not None], gloss, share), coloured
+
+    def _gloss(self, material: Material) -> Gloss | None:
+        """The narrow lobes of a material; None where it reflects nothing glossily."""
+        if not material.shining:
+            return None
+        made = gloss_of(material.glossy, material.isotropic, self.count)
+        lobes = made.lobes._replace(table=made.lobes.table.to(self.blurs))
+        return made._replace(lobes=lobes, values=made.values.to(self.blurs))
 
     def _lobes(self, coordinates: Tensor, colour: Tensor) -> MaterialLobes | None:
         """The lobes of a shape, by its coordinates in the space; None where all are dull."""
@@ -249,10 +271,12 @@ class ClusterSteps(nn.Module):
     def _layers(self, tables: LayerTables, light: ClusterLight, sent: Callable[..., OutgoingLight]) -> list[Layer]:
         """A layer with its first highlight, and one for the lobes of each further highlight."""
         lobes = [self._lit(own, light) for own in tables.lobes]
-        found = [Layer(sent(tables.coupling, bool(lobes)), lobes[0] if lobes else None, tables.share, True)]
+        first = lobes[0] if lobes else None
+        gloss = None if tables.gloss is None else (tables.gloss, _light_for(tables.gloss, light.blurred))
+        found = [Layer(sent(tables.coupling, bool(lobes)), first, gloss, tables.share, True)]
         if lobes[1:]:
             arrived = sent(torch.zeros_like(tables.coupling[:, :1]), True)
-            found += [Layer(arrived, own, tables.share, False) for own in lobes[1:]]
+            found += [Layer(arrived, own, None, tables.share, False) for own in lobes[1:]]
         return found
 
     def _sent(
@@ -270,11 +294,13 @@ class ClusterSteps(nn.Module):
         sent: OutgoingLight = self._operations.expand(eigen, region.weights, region.cluster)
         return sent
 
-    @staticmethod
-    def _lit(lobes: MaterialLobes, light: ClusterLight) -> LitLobes:
-        """Lobes under a light."""
-        maps = light.maps if len(lobes.which) == len(light.maps) else light.maps[lobes.which]
-        return LitLobes(lobes.which, lobes.rho, lobes.axes, lobes.specular, maps, light.turn, lobes.blurs)
+    def _lit(self, lobes: MaterialLobes, light: ClusterLight) -> LitLobes:
+        """Lobes under a light; under what bounced of it alone, where narrow lobes reflect direct light."""
+        maps = None
+        if not self.narrow:
+            maps = light.blurred.maps
+            maps = maps if len(lobes.which) == len(maps) else maps[lobes.which]
+        return LitLobes(lobes.which, lobes.rho, lobes.axes, lobes.specular, maps, light.blurred.turn, lobes.blurs)
 
     def radiance(self, exitant: ClusterExitant, eye: Tensor) -> Tensor:
         """The view step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
@@ -286,17 +312,32 @@ class ClusterSteps(nn.Module):
             for surface, at, layers in zip(exitant.surfaces, eyes, exitant.layers, strict=True)
         ]
         radiance: Tensor = self._operations.view(seen, exitant.outgoing)
-        if all(len(layers) == 1 and layers[0].share is None for layers in exitant.layers):
+        if all(len(layers) == 1 and layers[0].share is None and layers[0].gloss is None for layers in exitant.layers):
             return radiance
         parts = list(radiance.split([len(surface.place) for surface in exitant.surfaces]))
         for r, (first, *more) in enumerate(exitant.layers):
-            parts[r] = _some(parts[r], first.share)
+            parts[r] = _some(parts[r] + self._shining(exitant, r, first, eyes[r]), first.share)
             for layer in more:
                 outgoing = exitant.outgoing if layer.whole else exitant.outgoing[:, :0]
                 points = exitant.surfaces[r] if layer.whole else exitant.surfaces[r]._replace(colour=None)
                 part = self._operations.view([ViewedRegion(points, eyes[r], layer.sent, layer.lobes)], outgoing)
-                parts[r] = parts[r] + _some(part, layer.share)
+                parts[r] = parts[r] + _some(part + self._shining(exitant, r, layer, eyes[r]), layer.share)
         return torch.cat(parts)
+
+    def _shining(self, exitant: ClusterExitant, region: int, layer: Layer, eye: Tensor) -> Tensor | float:
+        """What narrow lobes reflect of direct light (v, c)."""
+        if layer.gloss is None:
+            return 0.0
+        bits = self.model.clustered[region].bits
+        shining: Tensor = self._operations.shine(exitant.surfaces[region], eye, bits, *layer.gloss)
+        return shining
+
+
+def _light_for(gloss: Gloss, light: BlurredLight) -> GlossLight:
+    """The light of a material's narrow lobes: a sharp one sees lamps as they are on the maps, areas or not."""
+    if gloss.sharp:
+        return GlossLight(light.maps, light.turn, *Lamps.none(light.turn))
+    return GlossLight(light.rest, light.turn, *light.lamps)
 
 
 def _some(radiance: Tensor, share: Tensor | None) -> Tensor:

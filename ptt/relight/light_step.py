@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -10,10 +11,26 @@ from torch.nn.functional import pad
 
 from ptt.light import prefiltered
 from ptt.light.environment import Environment, Layer
+from ptt.light.lamps import Lamps
 from ptt.light.prefiltered import LightMaps
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.sphere import Grid
 from ptt.relight.operations import operations
+
+
+class BlurredLight(NamedTuple):
+    """A light for lobes.
+
+    light (3, *grid.shape): L
+    maps (k, cells, 4): blurred by each lobe; turn (3, 3): world = turn @ map
+    lamps: what is small and bright, in the world; rest: as `maps`, without the lamps
+    """
+
+    light: Tensor
+    maps: Tensor
+    turn: Tensor
+    lamps: Lamps
+    rest: Tensor
 
 
 @in_python
@@ -23,6 +40,7 @@ class LightStep(nn.Module):
     grid: cells around the world
     angles: of the lobes by which `maps` blurs the light [degrees]
     compiled: as `operations` says
+    lamps: says whether what is small and bright is kept apart from the blurred light
 
     - A turn, a factor or a sum of lights costs a lookup a map; another map is made ready first, and kept with it.
     - Differentiable in the map and in factors.
@@ -33,10 +51,11 @@ class LightStep(nn.Module):
     directions: Tensor
     shares: Tensor
 
-    def __init__(self, grid: Grid, angles: Sequence[float] = (), compiled: bool = True) -> None:
+    def __init__(self, grid: Grid, angles: Sequence[float] = (), compiled: bool = True, lamps: bool = False) -> None:
         super().__init__()
         self.shape = tuple(grid.shape)
         self.angles = tuple(angles)
+        self.lamps = lamps
         self._operations = operations(compiled)
         directions, shares = prefiltered.samples(grid)
         self.register_buffer("directions", directions, persistent=False)
@@ -47,10 +66,22 @@ class LightStep(nn.Module):
         """L (3, *grid.shape)."""
         return self._light(environment, self._ready(environment))
 
-    def with_lobes(self, environment: Environment) -> tuple[Tensor, Tensor, Tensor]:
-        """L, the light blurred by each lobe (k, cells, 4), and its turn (3, 3): world = turn @ map."""
+    def with_lobes(self, environment: Environment) -> BlurredLight:
+        """L, and the light as lobes see it."""
         ready = self._ready(environment)
-        return self._light(environment, ready), *self._lobes(environment, ready)
+        blurred = self._lobes(environment, [maps.blurred for maps in ready])
+        alike = all(maps.rest is maps.blurred for maps in ready)
+        rest = blurred if alike else self._lobes(environment, [maps.rest for maps in ready])
+        turn = environment.layers[0].rotation.to(self.directions)
+        return BlurredLight(self._light(environment, ready), blurred, turn, self._lamps(environment, ready), rest)
+
+    def _lamps(self, environment: Environment, ready: list[LightMaps]) -> Lamps:
+        """The lamps of all layers."""
+        found = []
+        for layer, maps in zip(environment.layers, ready, strict=True):
+            directions = maps.lamps.directions @ layer.rotation.to(self.directions).T
+            found.append((directions, maps.lamps.powers * layer.gain.to(directions)))
+        return Lamps(*(torch.cat(parts) for parts in zip(*found, strict=True)))
 
     def _ready(self, environment: Environment) -> list[LightMaps]:
         """The maps of every layer."""
@@ -70,22 +101,24 @@ class LightStep(nn.Module):
         lighting: Tensor = self._operations.lighting(fine, turn, self.directions, self.shares, self.shape)
         return lighting
 
-    def _lobes(self, environment: Environment, ready: list[LightMaps]) -> tuple[Tensor, Tensor]:
-        """The light blurred by each lobe, in the frame of the first layer, and that layer's turn."""
+    def _lobes(self, environment: Environment, ready: list[Tensor]) -> Tensor:
+        """The light blurred by each lobe (k, cells, 4), in the frame of the first layer, of the maps of every layer."""
         first, *others = environment.layers
-        maps = self._blurred(first, ready[0])
+        maps = self._times(ready[0], first)
         for layer, own in zip(others, ready[1:], strict=True):
             turn = first.rotation.T @ layer.rotation
-            more = self._blurred(layer, own)
+            more = self._times(own, layer)
             maps = maps + (more if torch.equal(first.rotation, layer.rotation) else prefiltered.turned(more, turn))
-        return maps, first.rotation.to(self.directions)
+        return maps
 
-    def _blurred(self, layer: Layer, ready: LightMaps) -> Tensor:
-        blurred = ready.blurred
+    def _times(self, blurred: Tensor, layer: Layer) -> Tensor:
         return blurred * pad(layer.gain, (0, 1)).to(blurred) if layer.changed else blurred
 
     @opaque
     def maps(self, layer: Layer) -> LightMaps:
         """One map, fine and blurred by each lobe, in its own frame."""
-        ready = prefiltered.light_maps(layer.texels, self.angles, self._operations.octahedral_means)
-        return LightMaps(*(maps.to(self.directions) for maps in ready))
+        means = self._operations.octahedral_means
+        ready = prefiltered.light_maps(layer.texels, self.angles, means, self.lamps)
+        fine, blurred, rest = (maps.to(self.directions) for maps in (ready.fine, ready.blurred, ready.rest))
+        lamps = Lamps(*(part.to(self.directions) for part in ready.lamps))
+        return LightMaps(fine, blurred, lamps, blurred if ready.rest is ready.blurred else rest)

@@ -26,6 +26,8 @@ class TransferRelighter(Relighter):
 
     model: what `compress` made, or `TransferModel.load`
     compiled: by kernels in C++, built on first use; what points send out is then rounded to 16 bits, 3e-5 of the most
+    lobes: of every material, 1..64, in a model whose highlights are lobes: with more the error is less, and a frame
+        takes longer
 
     Radiance is that of the vertices; `ptt.render` interpolates it. Differentiable in the map, in the weights of the
     materials and in the parameters of their shapes.
@@ -40,12 +42,14 @@ class TransferRelighter(Relighter):
     """
 
     pixels = False
-    sources_in_c = ("maps", "light", "brdf", "view")
+    sources_in_c = ("maps", "light", "brdf", "view", "gloss")
 
-    def __init__(self, model: TransferModel, compiled: bool = True) -> None:
+    def __init__(self, model: TransferModel, compiled: bool = True, lobes: int = 16) -> None:
         super().__init__(compiled)
+        if not 1 <= lobes <= 64:
+            raise ValueError(f"lobes must be in 1..64, got {lobes}")
         self.model = model
-        self.steps: Any = ClusterSteps(model, compiled) if len(model.regions) else PointSteps(model)
+        self.steps: Any = ClusterSteps(model, compiled, lobes) if len(model.regions) else PointSteps(model)
         self._sources = list(model.modules())
         self._at_points = {name: Cache() for name in model.receivers.names}
 

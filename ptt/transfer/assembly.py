@@ -7,7 +7,7 @@ axes of the coarse lighting: those of some points' T1 under natural light.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,7 +19,9 @@ from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.indirect import COARSE, COARSEST, ORDER, responses
 from ptt.models.slots import Slot, slots_of
 from ptt.models.tensor_brdf import TensorBRDF
-from ptt.ops import haar, transfer
+from ptt.models.transfer_model import Highlights
+from ptt.ops import gloss, haar, transfer
+from ptt.ops.constants import BITS
 from ptt.ops.sphere import Cube
 from ptt.transfer.bounces import CUTS, Bounces
 from ptt.transfer.raw import RawTransfer
@@ -87,7 +89,9 @@ class Transfer:
     raw, brdf, basis: what it was made from
     direct, indirect: T0, and T1 and T2
     cuts (v, cells, k) uint8: fractional visibility of the lobes (`transfer.lobe_visibility`)
+    bits (v, words) int32: what points see of their hemispheres (`transfer.local_bits`); no words without narrow lobes
     weights: what each part adds to the picture
+    highlights: how direct light is reflected glossily (`Highlights`)
     """
 
     raw: RawTransfer
@@ -95,8 +99,10 @@ class Transfer:
     basis: BRDFBasis
     direct: DirectTransfer
     cuts: Tensor
+    bits: Tensor
     indirect: IndirectTransfer
     weights: PictureWeights
+    highlights: Highlights
 
 
 def assemble(
@@ -105,12 +111,13 @@ def assemble(
     basis: BRDFBasis,
     coefficients: int | None = 96,
     *,
+    highlights: Highlights = "tensor",
     max_memory: float = 10e9,
     progress: bool = False,
 ) -> Transfer:
     """T0, T1 and T2 of every point, for the materials of a space.
 
-    coefficients: number kept of T0, as for `compress`
+    coefficients, highlights: as for `compress`
     max_memory: bytes that may be in use; T1 takes as many axes of lighting, 128 at most, as leave T1 and T2 half of it
     progress: show bars with the rate and the time left
 
@@ -126,18 +133,22 @@ def assemble(
         raise ValueError("basis must be fitted to the space of brdf")
     slots = slots_of(raw.receivers, basis.mixture.shape[1]) if raw.bounces else []
     axes = _axis_count(len(raw.receivers), len(slots), raw.bounces, max_memory)
-    direct = direct_light(raw, brdf, coefficients, progress)
-    cuts = _cuts(raw, brdf, progress)
-    weights = _weights(brdf, basis, slots)
+    narrow = highlights == "lobes"
+    direct = direct_light(raw, brdf, coefficients, progress, dull=narrow)
+    cuts = _cuts(raw, gloss.CUT_ANGLES if narrow else brdf.angles, progress)
+    bits = _bits(raw) if narrow else torch.zeros(len(raw.receivers), 0, dtype=torch.int32)
+    weights = _weights(brdf, basis, slots, dull=narrow)
     if slots:
         indirect = _indirect(Bounces(raw, brdf, basis, direct.coarse, cuts), weights, axes, progress)
     else:
         indirect = _no_indirect(len(raw.receivers))
-    return Transfer(raw, brdf, basis, direct, cuts, indirect, weights)
+    return Transfer(raw, brdf, basis, direct, cuts, bits, indirect, weights, highlights)
 
 
-def direct_light(raw: RawTransfer, brdf: TensorBRDF, coefficients: int | None, progress: bool) -> DirectTransfer:
-    """T0 of every point.
+def direct_light(
+    raw: RawTransfer, brdf: TensorBRDF, coefficients: int | None, progress: bool, dull: bool = False
+) -> DirectTransfer:
+    """T0 of every point; dull: through the diffuse factor alone.
 
     Each point shares its coefficients out among its factors: magnitudes are weighted by what a factor adds to the
     picture and by what natural light has in a wavelet. In a trial on 160 vertices of the bunny under uffizi, with 96
@@ -148,13 +159,14 @@ def direct_light(raw: RawTransfer, brdf: TensorBRDF, coefficients: int | None, p
     keep = grid.cells if coefficients is None else coefficients
     if not 6 <= keep <= grid.cells:
         raise ValueError(f"coefficients must be in 6..{grid.cells}, got {keep}")
-    weights = torch.outer(brdf.importance(), natural(grid, ALWAYS)).flatten()
+    factors = brdf.u_i[:0] if dull else brdf.u_i
+    weights = torch.outer(brdf.importance()[: 1 + len(factors)], natural(grid, ALWAYS)).flatten()
     coarse = min(COARSE, grid.n)
     parts = []
     whole = 0.0
     left = 0.0
     with tqdm(total=len(raw.receivers), desc="direct light", unit=" points", disable=not progress) as bar:
-        for t0 in _blocks(raw, grid, brdf.u_i):
+        for t0 in _blocks(raw, grid, factors):
             largest = haar.truncate(t0.flatten(1), keep * t0.shape[1], weights)
             parts.append((*largest, t0.unflatten(2, grid.shape)[..., :coarse, :coarse].flatten(2)))
             whole += float(t0.norm()) ** 2
@@ -186,15 +198,20 @@ def _blocks(raw: RawTransfer, grid: Cube, factors: Tensor) -> Iterator[Tensor]:
         yield haar.analyse(t0.unflatten(2, grid.shape)).flatten(2)
 
 
-def _cuts(raw: RawTransfer, brdf: TensorBRDF, progress: bool) -> Tensor:
-    """Fractional visibility (v, cells, k) uint8 of the lobes."""
-    if not brdf.angles:
+def _bits(raw: RawTransfer) -> Tensor:
+    """What points see of their hemispheres (v, words) int32."""
+    return transfer.local_bits(raw.visible, raw.receivers.frames, Cube(raw.resolution), BITS)
+
+
+def _cuts(raw: RawTransfer, angles: Sequence[float], progress: bool) -> Tensor:
+    """Fractional visibility (v, cells, k) uint8 of lobes of so many degrees."""
+    if not angles:
         return torch.zeros(len(raw.receivers), CUTS**2, 0, dtype=torch.uint8)
     parts = []
     grid = Cube(raw.resolution)
     with tqdm(total=len(raw.receivers), desc="lobes", unit=" points", disable=not progress) as bar:
         for visible, frames in zip(raw.visible.split(512), raw.receivers.frames.split(512), strict=True):
-            parts.append(transfer.lobe_visibility(visible, frames, grid, CUTS, brdf.angles))
+            parts.append(transfer.lobe_visibility(visible, frames, grid, CUTS, angles))
             bar.update(len(frames))
     return torch.cat(parts)
 
@@ -215,11 +232,11 @@ def _axis_count(points: int, slots: int, bounces: int, max_memory: float) -> int
     return min(AXES, fit)
 
 
-def _weights(brdf: TensorBRDF, basis: BRDFBasis, slots: list[Slot]) -> PictureWeights:
+def _weights(brdf: TensorBRDF, basis: BRDFBasis, slots: list[Slot], dull: bool) -> PictureWeights:
     importance = brdf.importance()
     typical = basis.table.square().mean(0).sqrt() * TYPICAL  # shape: (p,)
     return PictureWeights(
-        factors=importance,
+        factors=importance[:1] if dull else importance,
         light=natural(Cube(COARSE)),
         slots=torch.tensor([TYPICAL if slot.function <= 0 else float(typical[slot.function - 1]) for slot in slots]),
         harmonics=(responses(brdf).square() @ importance.square()).sqrt(),

@@ -85,7 +85,8 @@ def cluster(transfer: Transfer, clusters: Clusters = Clusters(), *, progress: bo
             bar.update(region.points)
     raw = transfer.raw
     error = transfer.direct.error
-    return TransferModel(own, transfer.brdf, transfer.basis, raw.resolution, raw.bounces, None, found, error)
+    settings = raw.resolution, raw.bounces, None, found, error, transfer.highlights
+    return TransferModel(own, transfer.brdf, transfer.basis, *settings)
 
 
 def _points_for(clusters: Clusters, regions: list[_RegionTransfer]) -> int:
@@ -115,7 +116,7 @@ class _RegionTransfer:
         self.first = first
         self.end = end
         shines = any(layer.highlights for layer in own.materials[own.names[region]].layers)
-        self.glossy = bool(transfer.brdf.angles) and (own.editable[region] or shines)
+        self.glossy = transfer.cuts.shape[2] > 0 and (own.editable[region] or shines)
         one = transfer.indirect.one[first:end]
         two = transfer.indirect.two[first:end]
         lit = one.abs().amax((0, 2, 3)) > 0 if one.numel() else torch.zeros(0)
@@ -171,6 +172,7 @@ class _RegionTransfer:
             one=t1.to(clusters.storage),
             two=t2.to(clusters.storage),
             cuts=self._cuts(place, len(cluster)),
+            bits=self._bits(place, len(cluster)),
         )
 
     def _cuts(self, place: Tensor, blocks: int) -> Tensor:
@@ -181,6 +183,12 @@ class _RegionTransfer:
         bytes_ = torch.zeros(blocks * WIDTH, cuts.shape[1], MOST_LOBES, dtype=torch.uint8)
         bytes_[place[:, None], tiles(math.isqrt(cuts.shape[1])), : cuts.shape[2]] = cuts
         return bytes_.view(torch.int32).squeeze(2)
+
+    def _bits(self, place: Tensor, blocks: int) -> Tensor:
+        """What the points see (b * WIDTH, words) int32; no words where none is kept."""
+        own = self.transfer.bits[self.first : self.end]
+        bits = torch.zeros(blocks * WIDTH, own.shape[1] if self.glossy else 0, dtype=torch.int32)
+        return bits.index_copy(0, place, own[:, : bits.shape[1]])
 
     def _sketch(self) -> Tensor:
         """Features (v, r) of all points on common directions."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any, get_args
 
 from ptt.materials.spaces import BRDFSpace
 from ptt.materials.varying import SurfaceMaterial
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.tensor_brdf import TensorBRDF, usual_ranks
-from ptt.models.transfer_model import SparseTransfer, TransferModel
+from ptt.models.transfer_model import Highlights, SparseTransfer, TransferModel
 from ptt.ops.haar import Truncated
 from ptt.ops.sphere import Cube
 from ptt.transfer.assembly import assemble, direct_light
@@ -26,6 +27,7 @@ def compress(
     clusters: Clusters | None = Clusters(),  # noqa: B008 (frozen)
     *,
     editable: Sequence[SurfaceMaterial | BRDFSpace] = (),
+    highlights: Highlights = "tensor",
     max_memory: float = 10e9,
     progress: bool = False,
 ) -> TransferModel:
@@ -39,6 +41,8 @@ def compress(
     clusters: how points share eigen-points; None keeps every point's own T0, for direct light alone and without lobes:
         exact, but 10 to 100 times as large and as slow to light anew
     editable: materials and spaces that shall be shown too; printing the model tells what it shows
+    highlights: how points reflect direct light glossily: "lobes", narrow ones made for each material, which hold for
+        dull ones and for smooth metals; or "tensor", the BRDF tensor and its lobes, as in the paper
     max_memory: bytes that may be in use
     progress: show bars with the rate and the time left
 
@@ -50,6 +54,10 @@ def compress(
 
     Sun et al. 2007, sections 3.3 and 4.3; Ng et al. 2003 for the weighting by area.
     """
+    if highlights not in get_args(Highlights):
+        raise ValueError(f"highlights must be one of {', '.join(get_args(Highlights))}, got {highlights!r}")
+    if clusters is None and highlights == "lobes":
+        raise ValueError('highlights="lobes" needs clusters, got None')
     if clusters is None and raw.bounces:
         raise ValueError("light that bounces needs clusters, got None")
     own = raw.receivers
@@ -62,7 +70,8 @@ def compress(
     _check_shown(brdf.space, {n: own.materials[n] for n, may in zip(own.names, own.editable, strict=True) if not may})
     if clusters is not None:
         basis = basis or BRDFBasis.fit(brdf.space)
-        transfer = assemble(raw, brdf, basis, coefficients, max_memory=max_memory, progress=progress)
+        settings: Any = {"highlights": highlights, "max_memory": max_memory, "progress": progress}
+        transfer = assemble(raw, brdf, basis, coefficients, **settings)
         return cluster(transfer, clusters, progress=progress)
     if brdf.angles:
         raise ValueError("brdf must be fitted with separated=0: without clusters no lobes are shown")

@@ -409,7 +409,7 @@ def test_reduced_lighting_commutes(raw: ptt.RawTransfer, models: tuple[ptt.Tenso
 def test_without_lobes(raw: ptt.RawTransfer, models: tuple[ptt.TensorBRDF, ptt.BRDFBasis]) -> None:
     """A tensor that separates no lobes, with the table of visibility that `compress` makes then."""
     brdf, basis = fitted(separated=0)
-    made = Bounces(raw, brdf, basis, coarse_t0(raw, brdf), _cuts(raw, brdf, progress=False))
+    made = Bounces(raw, brdf, basis, coarse_t0(raw, brdf), _cuts(raw, brdf.angles, progress=False))
     rows = seeing_points(raw)[:3]
     diffuse = [q for q, slot in enumerate(made.slots) if slot.function == 0]
     assert_close(made.first_bounce(rows)[:, diffuse], paths(raw, models).first_bounce(rows)[:, diffuse], 1e-5)

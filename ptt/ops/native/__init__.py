@@ -6,6 +6,7 @@ tells why.
 """
 
 from ptt.ops.native.forming import quantised
+from ptt.ops.native.glossing import shine
 from ptt.ops.native.kernels import available, prepare
 from ptt.ops.native.maps import octahedral_means
 from ptt.ops.native.near import of_frames, of_texels, of_views
@@ -42,5 +43,6 @@ __all__ = [
     "resampled_values",
     "rotated_light",
     "shade",
+    "shine",
     "view",
 ]

@@ -103,6 +103,22 @@ static inline Lanes gather(const float *p, Ints index) {
 #endif
 }
 
+// The four bytes from each of p's on
+static inline Ints gather_bytes(const void *p, Ints index) {
+#if defined(__AVX512F__)
+    return (Ints)_mm512_i32gather_epi32((__m512i)index, p, 1);
+#elif defined(__AVX2__)
+    return (Ints)_mm256_i32gather_epi32((const int *)p, (__m256i)index, 1);
+#else
+    Ints x = {};
+    int32_t i[LANES], word[LANES];
+    std::memcpy(i, &index, sizeof i);
+    for (int l = 0; l < LANES; ++l) std::memcpy(&word[l], (const char *)p + i[l], sizeof *word);
+    std::memcpy(&x, word, sizeof x);
+    return x;
+#endif
+}
+
 // x[i] = p[index + i], i < 4
 static inline void gather_four(const float *p, Ints index, Lanes *x) {
 #if defined(__AVX512F__)
@@ -131,6 +147,16 @@ static inline void gather_four(const float *p, Ints index, Lanes *x) {
     x[2] = (Lanes)_mm256_unpacklo_pd(b, d), x[3] = (Lanes)_mm256_unpackhi_pd(b, d);
 #else
     for (int i = 0; i < 4; ++i) x[i] = gather(p + i, index);
+#endif
+}
+
+// x = the four at p, then the four GAP further on; no store of halves, for which a load of the whole would wait
+template <int GAP>
+static inline void load_both(const float *p, Eight &x) {
+#if defined(__AVX__)
+    x = (Eight)(GAP == 4 ? _mm256_loadu_ps(p) : _mm256_loadu2_m128(p + GAP, p));
+#else
+    std::memcpy(&x, p, sizeof(Four)), std::memcpy((float *)&x + 4, p + GAP, sizeof(Four));
 #endif
 }
 

@@ -77,6 +77,18 @@ struct View {
     int32_t threads;
 };
 
+// ptt/ops/gloss.py
+
+struct Shine {
+    const float *position, *frame, *eye, *table, *values, *maps, *turn, *lamps, *powers;
+    const int32_t *cuts, *bits;
+    const int64_t *place;
+    float *line, *out;           // scratch (n, 3), and (points, 3)
+    int64_t n, points, sources;  // sources: lamps
+    int32_t distant, lobes, cells, map, levels;  // cells, map: sides of grids, with the border
+    int32_t threads;
+};
+
 // ptt/ops/rotation.py
 
 struct LocalLight {

@@ -177,8 +177,8 @@ static inline void shade(const View &g, int64_t v, const Look<K> &at, int64_t la
         });
     }
     if constexpr (K > 0) {
-        Lanes lit[3];
-        reflect(g, v, at, lit);
+        Lanes lit[3] = {};
+        if (g.maps) reflect(g, v, at, lit);
         if (!g.harmonics)
             for (int l = 0; l < LANES; ++l) fetch(g, later, next, l);
         else {

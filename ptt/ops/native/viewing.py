@@ -73,7 +73,7 @@ def _write(region: ViewedRegion, outgoing: Tensor, line: Tensor, out: Tensor) ->
     factors = 1 + outgoing.shape[1]
     lobes: dict[str, Tensor | None] = dict.fromkeys(LitLobes._fields)
     if gloss is not None:
-        lobes = {name: tensor.contiguous() for name, tensor in gloss._asdict().items()}
+        lobes = {name: None if tensor is None else tensor.contiguous() for name, tensor in gloss._asdict().items()}
     run(
         "view",
         position=points.position,
@@ -98,7 +98,7 @@ def _write(region: ViewedRegion, outgoing: Tensor, line: Tensor, out: Tensor) ->
         tilts=0 if gloss is None else len(gloss.axes),
         disk=side(len(outgoing)),
         cells=side(points.cuts.shape[1]),
-        map=0 if gloss is None else side(gloss.maps.shape[1]),
+        map=0 if gloss is None or gloss.maps is None else side(gloss.maps.shape[1]),
         **lobes,
     )
 
@@ -145,8 +145,9 @@ def _of_lobes(gloss: LitLobes, cuts: Tensor, harmonics: int) -> Conditions:
     yield axes.shape == (tilts, 2 * k), "axes must be (tilts, 2 k)"
     yield specular.shape == (3,), "specular must be (3,)"
     yield turn.shape == (3, 3), "turn must be (3, 3)"
-    yield maps.ndim == 3 and maps.shape[::2] == (k, CHANNELS), "maps must be (k, cells, 4)"
-    yield maps.shape[1] > 1 and square(maps.shape[1]), "maps must be square"
+    if maps is not None:
+        yield maps.ndim == 3 and maps.shape[::2] == (k, CHANNELS), "maps must be (k, cells, 4)"
+        yield maps.shape[1] > 1 and square(maps.shape[1]), "maps must be square"
     yield harmonics in (0, HARMONICS), f"values must have no harmonics, or {HARMONICS}"
     yield harmonics == 0 or blurs.shape == (k, HARMONICS), f"blurs must be (k, {HARMONICS})"
     yield square(cuts.shape[1]) and side(cuts.shape[1]) % TILE == 0, "cuts must be a square of whole tiles"

@@ -16,7 +16,9 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from ptt.light.prefiltered import samples
 from ptt.materials.shapes import BlinnPhong
 from ptt.ops import haar, native, near, rotation, slices
+from ptt.ops.constants import RINGS, SECTORS, TILTS
 from ptt.ops.geodesic import Geodesic
+from ptt.ops.gloss import Gloss, GlossLight, Lobes
 from ptt.ops.haar import Truncated
 from ptt.ops.native import building, kernels, operators
 from ptt.ops.near import Near
@@ -98,6 +100,17 @@ def view() -> None:
     native.view([ViewedRegion(surface, eye, sent, gloss), ViewedRegion(coloured, eye, dull, None)], uniform(36, 5))
 
 
+def shine() -> None:
+    n = 32
+    words = torch.randint(0, 2**31, (n, 128), generator=generator()).int()
+    frame = torch.eye(3)[:, :, None].repeat(1, 1, n)
+    surface = SurfaceBlocks(uniform(3, n), frame, None, words[:, :64].contiguous(), torch.arange(n - 3))
+    gloss = Gloss(Lobes(uniform(TILTS, 3, 7), 1), uniform(TILTS, RINGS, SECTORS, 3))
+    for lamps in (0, 2):
+        light = GlossLight(uniform(3, 36, 4), torch.eye(3), uniform(lamps, 3), uniform(lamps, 3))
+        native.shine(surface, torch.tensor([0.2, 0.4, 5.0]), words, gloss, light)
+
+
 def resampling() -> rotation.Resampling:
     return rotation.resampling(Octahedral(8), HemiOctahedral(4), frames().double())
 
@@ -170,6 +183,7 @@ USES = (
     eigen,
     expand,
     view,
+    shine,
     rotate,
     values,
     reflected,

@@ -12,7 +12,14 @@ import pytest
 from ptt.ops.native import building
 
 TESTS = Path(__file__).parent.parent
-AGAINST_PLAIN = ("native/test_relight.py", "native/test_rotation.py", "test_near.py", "test_shade.py", "test_slices.py")
+AGAINST_PLAIN = (
+    "native/test_glossing.py",
+    "native/test_relight.py",
+    "native/test_rotation.py",
+    "test_near.py",
+    "test_shade.py",
+    "test_slices.py",
+)
 
 
 @pytest.mark.parametrize("processor", ["x86-64", "x86-64-v3"])

@@ -59,7 +59,8 @@ def double(x: Inputs) -> Inputs:
 def in_double(region: ViewedRegion) -> ViewedRegion:
     points, eye, sent, gloss = region
     if gloss is not None:
-        gloss = LitLobes(*(t.double() if isinstance(t, Tensor) and t.is_floating_point() else t for t in gloss))
+        doubled: Any = [t.double() if isinstance(t, Tensor) and t.is_floating_point() else t for t in gloss]
+        gloss = LitLobes(*doubled)
     colour = None if points.colour is None else points.colour.double()
     points = points._replace(position=points.position.double(), frame=points.frame.double(), colour=colour)
     return ViewedRegion(points, eye.double(), OutgoingLight(*(t.double() for t in sent)), gloss)

@@ -1,0 +1,238 @@
+// Glossy reflection of ptt/ops/gloss.py in one pass over the points (float32, isotropic, three channels):
+//
+//     B[v, c] = sum over n of  w_n[c](wo) E[c](a_n, s_n) V_v(a_n, s_n)
+//             + sum over m of  f[c](d_m, wo) cos(d_m) V_v(d_m) P_m[c]
+//
+// Points go LANES at a time, one in each lane of a vector; light and f, which each point reads in places of its own,
+// are summed point by point. `look` mixes the rows of the table and finds where the lobes of a group lie, `reflect` and
+// `lamp` sum. Indices are clamped, so that no input reads out of bounds.
+
+#include "lanes.h"
+
+constexpr int AHEAD = 2;    // groups, whose cuts are fetched: in a trial on 62,976 points 1 was slower
+constexpr int COLUMNS = 7;  // of a lobe: along, across, mirror, level, and w of each channel
+constexpr int POINT = BITS * BITS / 32;                // words of the bits of a point
+constexpr int RING = 3 * SECTORS, ROW = RINGS * RING;  // numbers of f
+
+// Of a lobe of a group of points
+struct Lobe {
+    Lanes a, b, level;  // where its axis lies on maps of the hemisphere, and how wide it is
+    Ints first;         // number of the maps of light, and how far on to the right, down, and to the next level
+    Lanes x, y, next;
+};
+
+// Of a group of points: the local direction to the eye, and unit (u, v) along it as seen from above; the row of tables
+// below it, and the share of the row above.
+struct Look {
+    Lanes wo[3], u, v, frame[3][3], share;
+    Ints row;
+    Lobe lobes[MOST_CELLS];
+    float rows[LANES][COLUMNS * MOST_CELLS + GROUP];
+};
+
+// Where a row and a column of the cuts lie, together, in `tiles` of n cells along an edge
+static inline Ints in_row(Ints i, int n) { return (i & -TILE) * n + (i & (TILE - 1)) * TILE; }
+static inline Ints in_column(Ints i) { return (i & -TILE) * TILE + (i & (TILE - 1)); }
+
+// ptt.ops.octahedral.hemi_octahedral
+static inline void hemi_octahedral(const Lanes *d, Lanes &a, Lanes &b) {
+    const Lanes scale = 1.0f / most(size(d[0]) + size(d[1]) + size(d[2]), all(TINY));
+    a = (d[0] + d[1]) * scale, b = (d[0] - d[1]) * scale;
+}
+
+static inline void find(const Shine &g, const Look &at, const Lanes (&turned)[3][3], int k, Lobe &lobe) {
+    const Lanes x = at.wo[0], y = at.wo[1], z = size(at.wo[2]), s = x * at.u + y * at.v;
+    Lanes row[4], local[3], d[3];  // along, across, mirror, level
+    gather_four(at.rows[0] + COLUMNS * k, lane() * (int)(sizeof *at.rows / sizeof **at.rows), row);
+    const Lanes flat = row[0] * z;
+    local[0] = flat * at.u - row[1] * at.v - row[2] * x;
+    local[1] = flat * at.v + row[1] * at.u - row[2] * y;
+    local[2] = row[0] * s + row[2] * z;
+    for (int c = 0; c < 3; ++c) d[c] = local[0] * turned[0][c] + local[1] * turned[1][c] + local[2] * turned[2][c];
+    const Place on = place_on_sphere(d, g.map);
+    const Ints below = clamp(whole(row[3]), g.levels - 2);
+    hemi_octahedral(local, lobe.a, lobe.b);
+    lobe.level = row[3], lobe.next = row[3] - real(below);
+    lobe.first = ((below * g.map + on.row) * g.map + on.column) * CHANNELS, lobe.x = on.x, lobe.y = on.y;
+}
+
+// Asks for a part of the cuts of a group, all in order: in the trial, to ask for the lines in use took longer.
+static inline void fetch(const Shine &g, int64_t v, int part, int parts) {
+    const int stride = g.cells * g.cells, lines = stride * LANES * 4 / LINE;
+    for (int i = lines * part / parts; i < lines * (part + 1) / parts; ++i)
+        __builtin_prefetch((const char *)(g.cuts + v * stride) + i * LINE, 0, 2);
+}
+
+static inline void look(const Shine &g, int64_t v, Look &at) {
+    Lanes toward[3], length = all(0);
+    for (int c = 0; c < 3; ++c) {
+        toward[c] = g.distant ? load(g.eye + c * g.n + v) : g.eye[c] - load(g.position + c * g.n + v);
+        length += toward[c] * toward[c];
+    }
+    const Lanes scale = 1.0f / root(most(length, all(TINY)));
+    Lanes to_map[3][3];
+    for (int r = 0; r < 3; ++r) {
+        at.wo[r] = all(0);
+        for (int c = 0; c < 3; ++c)
+            at.wo[r] += (at.frame[r][c] = load(g.frame + (3 * r + c) * g.n + v)) * toward[c] * scale;
+        turned(at.frame[r], g.turn, to_map[r]);
+    }
+    const Ints here = (at.wo[0] == 0) & (at.wo[1] == 0) & (at.wo[2] == 0);  // an eye in a point looks along its normal
+    at.wo[2] = here ? all(1) : at.wo[2];
+    const Lanes s = root(at.wo[0] * at.wo[0] + at.wo[1] * at.wo[1]);
+    at.u = s < HEAD_ON ? all(1) : at.wo[0] / most(s, all(HEAD_ON));
+    at.v = s < HEAD_ON ? all(0) : at.wo[1] / most(s, all(HEAD_ON));
+    const Lanes tilt = least(most(size(at.wo[2]) * (TILTS - 0.5f) - 0.5f, all(0)), all(TILTS - 1));
+    at.row = clamp(whole(tilt), TILTS - 2), at.share = tilt - real(at.row);
+    const int columns = COLUMNS * g.lobes;
+    for (int l = 0; l < LANES; ++l) {
+        const float *below = g.table + at.row[l] * columns, *above = below + columns, share = at.share[l];
+        for (int i = 0; i < columns; ++i) at.rows[l][i] = below[i] + share * (above[i] - below[i]);
+    }
+    for (int k = 0; k < g.lobes; ++k) find(g, at, to_map, k, at.lobes[k]);
+}
+
+// ptt.ops.gloss.bits_at
+static inline Lanes bits_at(const Shine &g, int64_t v, Lanes a, Lanes b) {
+    const Place p = place(a, b, BITS);
+    const Ints byte = clamp(p.column >> 3, 4), shift = p.column - 8 * byte;  // from which 32 bits hold both columns
+    const Ints first = (lane() * BITS + p.row) * (BITS / 8) + byte;
+    const Ints above = gather_bytes(g.bits + v * POINT, first) >> shift;
+    const Ints below = gather_bytes(g.bits + v * POINT, first + BITS / 8) >> shift;
+    const Lanes seen[4] = {real(above & 1), real(above >> 1 & 1), real(below & 1), real(below >> 1 & 1)};
+    return blend(seen, p.x, p.y);
+}
+
+// The mean of the cuts, between those of two widths next to each other: width 0..CUTS - 1
+static inline Lanes cuts_at(const Shine &g, int64_t v, Lanes a, Lanes b, Lanes width) {
+    const int stride = g.cells * g.cells;
+    const Place p = place(a, b, g.cells);
+    const Ints which = clamp(whole(width), CUTS - 2), point = lane() * stride;
+    const Ints rows[2] = {in_row(p.row, g.cells) + point, in_row(p.row + 1, g.cells) + point};
+    const Ints columns[2] = {in_column(p.column), in_column(p.column + 1)};
+    const Lanes share = width - real(which);
+    Lanes cut[4];
+    for (int j = 0; j < 4; ++j) {
+        const Ints cell = rows[j >> 1] + columns[j & 1];
+        const Ints word = (Ints)gather((const float *)g.cuts + v * stride, cell) >> (8 * which);
+        const Lanes narrow = real(word & BYTE), wide = real(word >> 8 & BYTE);
+        cut[j] = narrow + share * (wide - narrow);
+    }
+    return blend(cut, p.x, p.y) * (1.0f / BYTE);
+}
+
+// ptt.ops.gloss.visible
+static inline Lanes visible(const Shine &g, int64_t v, const Lobe &lobe) {
+    const Lanes at = least(most((lobe.level - 1.0f) * 0.5f, all(0)), all(CUTS)), wide = least(at, all(1));
+    Lanes seen = all(0);
+    if (any(wide < 1)) seen = bits_at(g, v, lobe.a, lobe.b);
+    if (any(wide > 0)) seen += wide * (cuts_at(g, v, lobe.a, lobe.b, most(at - 1.0f, all(0))) - seen);
+    return seen;
+}
+
+// Two numbers of four channels, of which the second lies GAP further on, between those at p and those a step further
+template <int GAP>
+static inline void between(const float *p, int64_t step, float share, Eight &e) {
+    Eight other;
+    load_both<GAP>(p, e), load_both<GAP>(p + step, other);
+    e += share * (other - e);
+}
+
+// What comes of lobes, in sums.
+static inline void reflect(const Shine &g, int64_t v, const Look &at, int64_t later, float (*sums)[CHANNELS]) {
+    const int64_t down = CHANNELS * g.map, up = down * g.map;
+    alignas(64) int32_t first[MOST_CELLS][LANES];
+    alignas(64) float share[MOST_CELLS][4][LANES];
+    int lobes[MOST_CELLS], count = 0;
+    for (int k = 0; k < g.lobes; ++k) {
+        fetch(g, later, k, g.lobes + LANES);
+        const Lobe &lobe = at.lobes[k];
+        const Lanes seen = visible(g, v, lobe), right = seen * lobe.x;
+        if (!any(seen > 0)) continue;
+        const Lanes shares[4] = {seen - right, right, lobe.y, lobe.next};
+        std::memcpy(first[count], &lobe.first, sizeof *first), std::memcpy(share[count], shares, sizeof *share);
+        lobes[count++] = k;
+    }
+    for (int l = 0; l < LANES; ++l) {
+        fetch(g, later, g.lobes + l, g.lobes + LANES);
+        Eight sum = {};  // of left corners, then of right ones
+        for (int k = 0; k < count; ++k) {
+            const float *p = g.maps + first[k][l], left = share[k][0][l], right = share[k][1][l];
+            const Eight shares = {left, left, left, left, right, right, right, right};
+            Eight e, wider, w;
+            between<CHANNELS>(p, down, share[k][2][l], e);
+            between<CHANNELS>(p + up, down, share[k][2][l], wider);
+            load_both<0>(at.rows[l] + COLUMNS * lobes[k] + 4, w);
+            sum += shares * w * (e + share[k][3][l] * (wider - e));
+        }
+        Four halves[2];
+        std::memcpy(halves, &sum, sizeof sum);
+        halves[0] += halves[1];
+        std::memcpy(sums[l], halves, sizeof *halves);
+    }
+}
+
+// What comes of a lamp, added to sums.
+static inline void lamp(const Shine &g, int64_t v, const Look &at, int64_t m, float (*sums)[CHANNELS]) {
+    Lanes wi[3], a, b;
+    for (int r = 0; r < 3; ++r) {
+        wi[r] = all(0);
+        for (int c = 0; c < 3; ++c) wi[r] += at.frame[r][c] * g.lamps[3 * m + c];
+    }
+    if (!any(wi[2] > 0)) return;
+    hemi_octahedral(wi, a, b);
+    alignas(64) float lit[LANES], along[LANES], around[LANES];
+    alignas(64) int32_t first[LANES];
+    const Lanes seen = most(wi[2], all(0)) * bits_at(g, v, a, b);
+    if (!any(seen > 0)) return;
+    const Lanes x = wi[0] + at.wo[0], y = wi[1] + at.wo[1], z = wi[2] + size(at.wo[2]);
+    const Lanes square = most((x * x + y * y) / most(z * z, all(TINY)), all(TINY));
+    const Ints octaves = (Ints)square - ((127 + SHARPEST) << 23);  // of which a float's bits are 2^-23 parts
+    const Lanes ring = least(most(real(octaves) * 0x1p-21f - 0.5f, all(0)), all(RINGS - 1));
+    const Lanes to = x * at.u + y * at.v, beside = y * at.u - x * at.v;
+    const Lanes turn = angle(size(beside), most(size(to), all(TINY)));
+    const Lanes half_turns = (to < 0 ? 3.14159265f - turn : turn) * (SECTORS / 3.14159265f) - 0.5f;
+    const Lanes sector = least(most(half_turns, all(0)), all(SECTORS - 1));
+    const Ints i = clamp(whole(ring), RINGS - 2), j = clamp(whole(sector), SECTORS - 2);
+    const Ints from = at.row * ROW + i * RING + j * 3;
+    store(lit, seen), store(along, ring - real(i)), store(around, sector - real(j));
+    std::memcpy(first, &from, sizeof first);
+    const float *p = g.powers + 3 * m;
+    const Four power = {p[0], p[1], p[2]};
+    for (int l = 0; l < LANES; ++l) {
+        Eight e, next;  // four numbers from the left sector's on, and the four that end with the right one's
+        between<2>(g.values + first[l], RING, along[l], e);
+        between<2>(g.values + first[l] + ROW, RING, along[l], next);
+        e += at.share[l] * (next - e);
+        const Four left = {e[0], e[1], e[2]}, right = {e[5], e[6], e[7]};
+        const Four f = left + around[l] * (right - left);
+        Four sum;
+        std::memcpy(&sum, sums[l], sizeof sum);
+        sum += f * f * (lit[l] * power);
+        std::memcpy(sums[l], &sum, sizeof sum);
+    }
+}
+
+extern "C" int32_t ptt_shine(const Shine *given) {
+    const Shine g = *given;
+    if (g.lobes > MOST_CELLS) return UNKNOWN;
+    const int64_t groups = g.n / LANES;
+#pragma omp parallel num_threads(g.threads)
+    {
+        const int64_t t = omp_get_thread_num(), of = omp_get_num_threads();
+        const int64_t first = groups * t / of, end = groups * (t + 1) / of;
+        Look at;
+        for (int64_t i = first; i < end; ++i) {
+            const int64_t later = std::min(i + AHEAD, end - 1) * LANES;
+            look(g, i * LANES, at);
+            alignas(64) float sums[LANES][CHANNELS];
+            reflect(g, i * LANES, at, later, sums);
+            for (int64_t m = 0; m < g.sources; ++m) lamp(g, i * LANES, at, m, sums);
+            for (int l = 0; l < LANES; ++l) std::memcpy(g.line + 3 * (i * LANES + l), sums[l], 3 * sizeof(float));
+        }
+#pragma omp barrier
+        for (int64_t p = g.points * t / of; p < g.points * (t + 1) / of; ++p)
+            std::memcpy(g.out + 3 * p, g.line + 3 * g.place[p], 3 * sizeof(float));
+    }
+    return DONE;
+}

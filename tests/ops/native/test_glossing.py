@@ -1,0 +1,167 @@
+"""The kernel of glossy reflection against the plain function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import pytest
+import torch
+from torch import Tensor
+
+from ptt.ops import gloss as plain
+from ptt.ops import native
+from ptt.ops.constants import BITS, LEVELS, RINGS, SECTORS, TILTS
+from ptt.ops.gloss import Gloss, GlossLight, Lobes
+from ptt.ops.view import SurfaceBlocks
+
+
+class Inputs(NamedTuple):
+    points: SurfaceBlocks
+    eye: Tensor
+    bits: Tensor
+    gloss: Gloss
+    light: GlossLight
+
+
+def inputs(
+    lobes: int = 16,
+    lamps: int = 3,
+    n: int = 96,
+    distant: bool = False,
+    cells: int = 8,
+    side: int = 12,
+    turns: int = 1,
+    levels: tuple[float, float] = (-1.0, LEVELS),
+) -> Inputs:
+    """Tables and maps of noise, f smooth enough for float32."""
+    g = torch.Generator().manual_seed(1000 * lobes + 100 * lamps + n)
+    frame = rotations(n, g).permute(1, 2, 0).contiguous()
+    cuts = words(n, cells * cells, g)
+    points = SurfaceBlocks(torch.randn(3, n, generator=g), frame, None, cuts, torch.randperm(n, generator=g)[: n - 5])
+    axes = torch.randn(1, lobes, 3, generator=g) + 0.2 * torch.randn(turns * TILTS, lobes, 3, generator=g)
+    level = torch.empty(turns * TILTS, lobes, 1).uniform_(*levels, generator=g).clamp(0, LEVELS - 1)
+    table = torch.cat((axes, level, torch.rand(turns * TILTS, lobes, 3, generator=g)), 2)
+    sectors = SECTORS if turns == 1 else 2 * SECTORS
+    values = torch.rand(turns * TILTS, RINGS, sectors, 3, generator=g)
+    maps = torch.rand(LEVELS, side * side, 4, generator=g)
+    maps[..., 3] = 0
+    light = GlossLight(maps, rotations(1, g)[0].contiguous(), directions(lamps, g), torch.rand(lamps, 3, generator=g))
+    eye = directions(n, g).T.contiguous() if distant else torch.ones(3)
+    return Inputs(points, eye, words(n, BITS * BITS // 32, g), Gloss(Lobes(table, turns), values), light)
+
+
+def words(n: int, count: int, g: torch.Generator) -> Tensor:
+    return torch.randint(-(2**31), 2**31, (n, count), generator=g).int()
+
+
+def directions(n: int, g: torch.Generator) -> Tensor:
+    return torch.nn.functional.normalize(torch.randn(n, 3, generator=g), dim=1)
+
+
+def rotations(n: int, g: torch.Generator) -> Tensor:
+    rotation: Tensor = torch.linalg.qr(torch.randn(n, 3, 3, generator=g))[0]
+    return rotation
+
+
+def in_double(x: Inputs) -> Inputs:
+    points = x.points._replace(position=x.points.position.double(), frame=x.points.frame.double())
+    gloss = Gloss(Lobes(x.gloss.lobes.table.double(), x.gloss.lobes.turns), x.gloss.values.double())
+    return Inputs(points, x.eye.double(), x.bits, gloss, GlossLight(*(t.double() for t in x.light)))
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """One entry for each call of the plain function by `native.shine`."""
+    made: list[int] = []
+    original = plain.shine
+
+    def counted(*args: object) -> Tensor:
+        made.append(1)
+        return original(*args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(plain, "shine", counted)
+    return made
+
+
+def agree(x: Inputs, calls: list[int]) -> None:
+    got = native.shine(*x)
+    assert not calls  # by the kernel
+    expected = plain.shine(*in_double(x))  # tables of noise: float32 rounds where they are looked up
+    calls.clear()
+    assert got.shape == expected.shape and got.dtype == torch.float32
+    error = (got.double() - expected).abs()
+    assert float(error.mean()) < 4e-6 * float(expected.abs().max())
+    assert float(error.max()) < 2e-4 * float(expected.abs().max())
+
+
+@pytest.mark.parametrize("distant", [False, True])
+@pytest.mark.parametrize("lamps", [0, 1, 8])
+@pytest.mark.parametrize("lobes", [1, 4, 7, 16, 64])
+def test_agrees_for_all_lobes(built: None, calls: list[int], lobes: int, lamps: int, distant: bool) -> None:
+    agree(inputs(lobes, lamps, distant=distant), calls)
+
+
+@pytest.mark.parametrize(("n", "cells", "side"), [(16, 4, 4), (112, 24, 130)])
+def test_agrees_for_all_sizes(built: None, calls: list[int], n: int, cells: int, side: int) -> None:
+    agree(inputs(n=n, cells=cells, side=side), calls)
+
+
+@pytest.mark.parametrize("levels", [(0.0, 1.0), (1.0, 3.0), (3.0, 5.0), (5.0, 7.0), (7.0, 9.0)])
+def test_agrees_for_all_widths(built: None, calls: list[int], levels: tuple[float, float]) -> None:
+    agree(inputs(levels=levels), calls)
+
+
+def test_agrees_at_the_horizon(built: None, calls: list[int]) -> None:
+    x = inputs(distant=True)
+    tangent, bitangent, _ = x.points.frame
+    for eye in (tangent, bitangent, -tangent, -bitangent):
+        agree(x._replace(eye=eye.contiguous()), calls)
+
+
+def test_agrees_head_on_and_facing_away(built: None, calls: list[int]) -> None:
+    """Frames without rounding: there a direction above the normal has no azimuth, and is taken to lie over x."""
+    x = inputs(distant=True)
+    frame = torch.eye(3)[:, :, None].repeat(1, 1, x.eye.shape[1])
+    for eye in (frame[2], -frame[2]):
+        agree(x._replace(points=x.points._replace(frame=frame), eye=eye.contiguous()), calls)
+
+
+def test_what_is_hidden_is_dark(built: None) -> None:
+    x = inputs()
+    hidden = x._replace(points=x.points._replace(cuts=torch.zeros_like(x.points.cuts)), bits=torch.zeros_like(x.bits))
+    assert native.shine(*hidden).count_nonzero() == 0
+
+
+def test_a_point_at_the_eye_is_as_head_on(built: None, calls: list[int]) -> None:
+    x = inputs()
+    agree(x._replace(eye=x.points.position[:, 5].contiguous()), calls)
+
+
+def test_of_no_points_comes_nothing(built: None) -> None:
+    assert native.shine(*inputs(n=16)._replace(points=inputs(n=16).points._replace(place=torch.arange(0)))).shape == (
+        0,
+        3,
+    )
+
+
+def with_gradient(x: Inputs) -> Inputs:
+    return x._replace(eye=x.eye.clone().requires_grad_())
+
+
+def strided(x: Inputs) -> Inputs:
+    return x._replace(points=x.points._replace(frame=x.points.frame.transpose(0, 1)))
+
+
+@pytest.mark.parametrize("change", [with_gradient, in_double, strided, lambda x: inputs(turns=2)])
+def test_what_the_kernel_is_not_for_goes_the_plain_way(calls: list[int], change: Callable[[Inputs], Inputs]) -> None:
+    x = change(inputs())
+    got = native.shine(*x)
+    assert calls == [1] and torch.equal(got, plain.shine(*x))
+
+
+def test_gradients_pass() -> None:
+    x = inputs(lobes=4)
+    table = x.gloss.lobes.table.clone().requires_grad_()
+    native.shine(*x._replace(gloss=x.gloss._replace(lobes=Lobes(table, 1)))).sum().backward()
+    assert table.grad is not None and table.grad.isfinite().all()

@@ -1,0 +1,118 @@
+"""Models whose highlights are narrow lobes: metals beside the reference, what is saved, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+import ptt
+from ptt.materials.shapes import GGX
+from ptt.ops import mesh
+from ptt.scene.parts import Part
+
+GOLD = (1.0, 0.78, 0.34)
+EYE = torch.tensor([0.4, 1.6, 3.0])
+
+
+@pytest.fixture(scope="module")
+def scene() -> ptt.Scene:
+    """A ball that is half in a trough, so that some of its points see a third of the sky, on a matt floor."""
+    vertices, faces = mesh.sphere_mesh(2, 0.5)
+    trough, sides = mesh.box_mesh((0.3, 0.8, 2.0), 6)
+    parts = [
+        Part("ball", vertices + torch.tensor([0.0, 0.55, 0.0]), faces, material=ptt.ggx(0.0, 1.0, GOLD, 0.3)),
+        Part("left", trough + torch.tensor([-0.8, 0.45, 0.0]), sides, material=ptt.lambert(0.4)),
+        Part("right", trough + torch.tensor([0.8, 0.45, 0.0]), sides, material=ptt.lambert(0.4)),
+    ]
+    return ptt.Scene.from_parts(parts, ptt.Environment.constant(1.0), ptt.Camera((0.4, 1.6, 3.0), (0.0, 0.5, 0.0)))
+
+
+@pytest.fixture(scope="module")
+def raw(scene: ptt.Scene) -> ptt.RawTransfer:
+    return ptt.precompute(scene, bounces=0)
+
+
+@pytest.fixture(scope="module")
+def model(raw: ptt.RawTransfer) -> ptt.TransferModel:
+    return ptt.compress(raw, highlights="lobes")
+
+
+@pytest.fixture(scope="module")
+def sky() -> ptt.Environment:
+    """A sun over a sky that is brighter on one side."""
+    return ptt.Environment.sun_sky(direction=(0.5, 1.0, 0.6), radius=1.0)
+
+
+def facing(scene: ptt.Scene) -> Tensor:
+    """Vertices of the ball that the eye sees at more than 17 degrees from the horizon."""
+    to = torch.nn.functional.normalize(EYE - scene.points, dim=1)
+    return torch.nonzero((scene.vertex_region == 0) & ((to * scene.frames[:, 2]).sum(1) > 0.3))[:, 0]
+
+
+@pytest.mark.parametrize("roughness", [0.15, 0.3, 0.6])
+def test_metals_beside_the_reference(
+    scene: ptt.Scene, model: ptt.TransferModel, sky: ptt.Environment, roughness: float
+) -> None:
+    """Within 6 % with 16 lobes, the noise of the reference taken out, and nothing is negative."""
+    materials = scene.materials | {"ball": ptt.ggx(0.0, 1.0, GOLD, roughness)}
+    rows = facing(scene)
+    wo = torch.nn.functional.normalize(EYE - scene.points[rows], dim=1)
+    points = ptt.reference.vertex_points(scene).take(rows)
+    truth = ptt.reference.radiance(scene, sky, materials, points, wo, bounces=0, samples=512)
+    got = ptt.TransferRelighter(model, compiled=False)(sky, materials, EYE)
+    assert bool((got >= -1e-3 * got.mean()).all())
+    excess = (got[rows] - truth.mean).square().mean() - truth.standard_error.square().mean()
+    assert float(excess.clamp(min=0).sqrt()) < 0.06 * float(truth.mean.square().mean().sqrt())
+
+
+def test_more_lobes_come_nearer(raw: ptt.RawTransfer, scene: ptt.Scene, model: ptt.TransferModel) -> None:
+    """To 64: of a light of many colours; each step leaves at most two thirds of the error."""
+    light = ptt.Environment(torch.rand(16, 32, 3, generator=torch.Generator().manual_seed(3)) ** 4)
+    one = [ptt.TransferRelighter(model, compiled=False, lobes=n)(light, {}, EYE)[facing(scene)] for n in (4, 16, 64)]
+    errors = [float((b - one[-1]).norm()) for b in one[:2]]
+    assert 0 < errors[1] < errors[0] * 2 / 3
+
+
+def test_turned_light_on_a_turned_eye(scene: ptt.Scene, model: ptt.TransferModel, sky: ptt.Environment) -> None:
+    """Lights add up, and a factor is exact, lamps and all."""
+    relighter = ptt.TransferRelighter(model, compiled=False)
+    other = sky.rotated(y=70).scaled(0.5)
+    both = relighter(sky + other, {}, EYE)
+    assert torch.allclose(both, relighter(sky, {}, EYE) + relighter(other, {}, EYE), rtol=2e-2, atol=1e-3)
+    assert torch.allclose(relighter(sky.scaled(3.0), {}, EYE), 3 * relighter(sky, {}, EYE), rtol=1e-5)
+
+
+def test_kernels_and_plain_functions_agree(scene: ptt.Scene, model: ptt.TransferModel, sky: ptt.Environment) -> None:
+    plain, kernels = (ptt.TransferRelighter(model, compiled=c)(sky, {}, EYE) for c in (False, True))
+    assert torch.allclose(plain, kernels, rtol=0, atol=5e-4 * float(plain.max()))
+
+
+def test_what_is_saved_relights_alike(model: ptt.TransferModel, sky: ptt.Environment, tmp_path: Path) -> None:
+    model.save(tmp_path / "model.safetensors")
+    loaded = ptt.TransferModel.load(tmp_path / "model.safetensors")
+    assert loaded.highlights == "lobes"
+    first, second = (ptt.TransferRelighter(m, compiled=False)(sky, {}, EYE) for m in (model, loaded))
+    assert torch.equal(first, second)
+
+
+def test_derivatives_reach_colours(model: ptt.TransferModel, sky: ptt.Environment) -> None:
+    """Radiance is linear in the colour of a highlight: the derivative is what a unit of it reflects."""
+    colour = torch.tensor([0.5, 0.5, 0.5], requires_grad=True)
+    relighter = ptt.TransferRelighter(model, compiled=False)
+    shape = GGX(1.0, 0.3)
+    lit = relighter(sky, {"ball": ptt.Material(0.0, colour, shape)}, EYE)
+    (got,) = torch.autograd.grad(lit.sum(), colour)
+    more = relighter(sky, {"ball": ptt.Material(0.0, 1.5, shape)}, EYE).sum(0)
+    assert torch.allclose(got, (more - lit.detach().sum(0)), rtol=1e-3)
+
+
+def test_what_does_not_go_together_is_refused(raw: ptt.RawTransfer, model: ptt.TransferModel) -> None:
+    with pytest.raises(ValueError, match="highlights must be one of lobes, tensor"):
+        ptt.compress(raw, highlights="gloss")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="needs clusters"):
+        ptt.compress(raw, clusters=None, highlights="lobes")
+    with pytest.raises(ValueError, match=r"lobes must be in 1\.\.64"):
+        ptt.TransferRelighter(model, lobes=0)
