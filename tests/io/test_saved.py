@@ -13,6 +13,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 import ptt
+from ptt.io.saved import SCHEMA
 
 
 def parts(path: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
@@ -153,7 +154,7 @@ def test_missing_extra_misshapen_and_non_finite_tensors(path: Path) -> None:
 def test_unknown_schema_other_kind_and_foreign_files(path: Path) -> None:
     header, tensors = parts(path)
     edit(path, header | {"schema": 99}, tensors)
-    with pytest.raises(ValueError, match="has schema 99, this version of ptt reads 2"):
+    with pytest.raises(ValueError, match=f"has schema 99, this version of ptt reads {SCHEMA}"):
         ptt.TransferModel.load(path)
     with pytest.raises(ValueError, match="must hold a raw transfer, got transfer model"):
         ptt.RawTransfer.load(path)
