@@ -140,7 +140,7 @@ def _blur(angle: float, n: int) -> Tensor:
     """The matrix (BLURRED_SIDE ** 2, n * n), sparse CSR, from light times solid angle to mean light under a lobe."""
     cells = _axes(n)
     axes = _axes(BLURRED_SIDE)
-    chord = 2 * sin(radians(min(angle, 180.0)) / 2)
+    chord = 2 * sin(radians(angle) / 2)
     near = cKDTree(axes.numpy()).sparse_distance_matrix(cKDTree(cells.numpy()), chord, output_type="coo_matrix")
     row = torch.from_numpy(near.row).long()
     column = torch.from_numpy(near.col).long()

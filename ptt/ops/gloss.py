@@ -209,11 +209,6 @@ def _apart(directions: Tensor, mass: Tensor, n: int) -> Tensor:
     return directions[chosen]
 
 
-def albedo(lobes: Lobes) -> Tensor:
-    """What the lobes reflect of constant light (turns * tilts, c)."""
-    return lobes.table[..., 4:].sum(1)
-
-
 def rows_of(wo: Tensor, turns: int) -> tuple[Tensor, Tensor]:
     """Rows (n, j) int64 of tables over `outgoing`, and their weights (n, j), at wo (n, 3)."""
     at = (wo[:, 2].abs() * (TILTS - 0.5) - 0.5).clamp(0, TILTS - 1)

@@ -12,9 +12,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ptt.ops.octahedral import Octahedral, mix
+from ptt.ops.octahedral import Octahedral
+from ptt.ops.octahedral import sampled as sampled_at
 from ptt.ops.sphere import Grid, LatLong
-from ptt.ops.transforms import active
 
 _LOOKUPS = 1 << 23  # `means` halves a map whose texels would ask for more; bounds its time
 _MIDPOINTS = 32  # of the coverage by a cap across each row of texels
@@ -157,31 +157,8 @@ def _cumulated(sums: Tensor, x: Tensor) -> Tensor:
 
 def bilinear(image: Tensor, x: Tensor, y: Tensor) -> Tensor:
     """Values (..., 3) of an image (h, w, 3) at x, y (...), which count texels from its upper left corner."""
-    if active():  # the function below has no tangents
-        return _mixed(image, x.flatten(), y.flatten()).reshape(*x.shape, 3)
-    where = torch.stack((x * (2 / image.shape[1]) - 1, y * (2 / image.shape[0]) - 1), dim=-1)
-    values = F.grid_sample(
-        image.movedim(-1, 0)[None], where.reshape(1, -1, 1, 2), padding_mode="border", align_corners=False
-    )
-    return values[0, :, :, 0].T.reshape(*x.shape, 3)
-
-
-def _mixed(image: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Values (n, 3) of `bilinear` at x, y (n,), by the four texels around."""
-    height, width = image.shape[:2]
-    column, right = _between(x, width)
-    row, down = _between(y, height)
-    first = row * width + column
-    index = torch.stack((first, first + 1, first + width, first + width + 1), -1)
-    weights = torch.stack(((1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right), -1)
-    return mix(image.flatten(0, 1), index, weights.to(image))
-
-
-def _between(x: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """The texel whose middle lies before x (n,), and how far x is on the way to the next; at the edge, the edge."""
-    place = (x - 0.5).clamp(0, count - 1)
-    before = place.floor().clamp(max=count - 2)
-    return before.long(), place - before
+    at = torch.stack((x.flatten() * (2 / image.shape[1]) - 1, y.flatten() * (2 / image.shape[0]) - 1))
+    return sampled_at(image.movedim(-1, 0)[None], at[None])[0].T.reshape(*x.shape, 3)
 
 
 def cap(direction: Tensor, radius: float, height: int, width: int) -> Tensor:

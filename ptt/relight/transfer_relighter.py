@@ -15,6 +15,7 @@ from ptt.models.cache import Cache
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import native
 from ptt.ops.compiling import in_python, uncompiled
+from ptt.ops.constants import MOST_CELLS
 from ptt.relight.cluster_steps import ClusterSteps
 from ptt.relight.point_steps import PointSteps
 from ptt.relight.relighter import Relighter
@@ -47,8 +48,8 @@ class TransferRelighter(Relighter):
 
     def __init__(self, model: TransferModel, compiled: bool = True, lobes: int = 16) -> None:
         super().__init__(compiled)
-        if not 1 <= lobes <= 64:
-            raise ValueError(f"lobes must be in 1..64, got {lobes}")
+        if not 1 <= lobes <= MOST_CELLS:
+            raise ValueError(f"lobes must be in 1..{MOST_CELLS}, got {lobes}")
         if compiled and model.highlights == "lobes":
             native.prepare("gloss")
         self.model = model

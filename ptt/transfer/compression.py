@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, get_args
+from typing import get_args
 
 from ptt.materials.spaces import BRDFSpace
 from ptt.materials.varying import SurfaceMaterial
@@ -70,8 +70,9 @@ def compress(
     _check_shown(brdf.space, {n: own.materials[n] for n, may in zip(own.names, own.editable, strict=True) if not may})
     if clusters is not None:
         basis = basis or BRDFBasis.fit(brdf.space)
-        settings: Any = {"highlights": highlights, "max_memory": max_memory, "progress": progress}
-        transfer = assemble(raw, brdf, basis, coefficients, **settings)
+        transfer = assemble(
+            raw, brdf, basis, coefficients, highlights=highlights, max_memory=max_memory, progress=progress
+        )
         return cluster(transfer, clusters, progress=progress)
     if brdf.angles:
         raise ValueError("brdf must be fitted with separated=0: without clusters no lobes are shown")

@@ -30,10 +30,6 @@ struct Look {
     float rows[LANES][COLUMNS * MOST_CELLS + GROUP];
 };
 
-// Where a row and a column of the cuts lie, together, in `tiles` of n cells along an edge
-static inline Ints in_row(Ints i, int n) { return (i & -TILE) * n + (i & (TILE - 1)) * TILE; }
-static inline Ints in_column(Ints i) { return (i & -TILE) * TILE + (i & (TILE - 1)); }
-
 // ptt.ops.octahedral.hemi_octahedral
 static inline void hemi_octahedral(const Lanes *d, Lanes &a, Lanes &b) {
     const Lanes scale = 1.0f / most(size(d[0]) + size(d[1]) + size(d[2]), all(TINY));

@@ -251,6 +251,10 @@ static inline Place place(Lanes a, Lanes b, int n) {
     return {row, column, x - real(column), y - real(row)};
 }
 
+// Where a row and a column of the cuts lie, together, in `tiles` of n cells along an edge
+static inline Ints in_row(Ints i, int n) { return (i & -TILE) * n + (i & (TILE - 1)) * TILE; }
+static inline Ints in_column(Ints i) { return (i & -TILE) * TILE + (i & (TILE - 1)); }
+
 // Of values at the corners, the two of a row next to each other
 template <class Value, class Share>
 static inline Value blend(const Value *e, Share x, Share y) {

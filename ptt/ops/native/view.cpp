@@ -64,10 +64,6 @@ struct Look {
     bool lit[K + !K];     // whether any point has the lobe
 };
 
-// Where a row and a column of the cuts lie, together, in `tiles` of n cells along an edge
-static inline Ints in_row(Ints i, int n) { return (i & -TILE) * n + (i & (TILE - 1)) * TILE; }
-static inline Ints in_column(Ints i) { return (i & -TILE) * TILE + (i & (TILE - 1)); }
-
 template <int K>
 static inline void look(const View &g, int64_t v, Look<K> &at) {
     const int64_t n = g.blocks * g.width;
