@@ -61,7 +61,7 @@ class Sphere:
         axes = self._world(lobes.lean(brdf.axes, self.wo))
         if not brdf.angles:
             return torch.zeros_like(axes)
-        return light_about(light_maps.light_maps(light.map, brdf.angles).blurred, axes @ light.rotation.float())
+        return light_about(light_maps.light_maps(light.map, brdf.angles).whole.blurred, axes @ light.rotation.float())
 
     def relit(self, brdf: ptt.TensorBRDF, material: ptt.Material, incident: Tensor, mirrored: Tensor) -> Tensor:
         """Radiance (v, 3) as the relighting equation has it, plus the lobes."""

@@ -39,17 +39,23 @@ class LightMaps(NamedTuple):
 
     fine (FINE_SIDE ** 2, 4): mean light of each cell
     blurred (k, (BLURRED_SIDE + 2) ** 2, 4): mean light under each lobe, on maps that are `bordered`
-    lamps: what is small and bright, none unless they are kept apart; rest: as `blurred`, without the lamps
     """
 
     fine: Tensor
     blurred: Tensor
+
+
+class SplitMaps(NamedTuple):
+    """The maps of a whole light; its lamps, none unless they are kept apart; and the maps of the rest, which are those
+    of the whole where there are no lamps."""
+
+    whole: LightMaps
     lamps: Lamps
-    rest: Tensor
+    rest: LightMaps
 
 
 Means = Callable[[Tensor, int, int, float], Tensor]
-_READY: MutableMapping[Tensor, dict[tuple[Any, ...], LightMaps]] = WeakTensorKeyDictionary()
+_READY: MutableMapping[Tensor, dict[tuple[Any, ...], SplitMaps]] = WeakTensorKeyDictionary()
 """What was made of a map's texels, for as long as they are there."""
 
 
@@ -58,7 +64,7 @@ def light_maps(
     angles: Sequence[float],
     octahedral_means: Means = latlong.octahedral_means,
     lamps: bool = False,
-) -> LightMaps:
+) -> SplitMaps:
     """The maps of a light's texels (h, w, 3), for lobes of the given widths [degrees]; made once, until texels change.
 
     octahedral_means: `ptt.ops.latlong.octahedral_means`, or its kernel
@@ -79,16 +85,19 @@ def light_maps(
     return made[key]
 
 
-def _made(texels: Tensor, angles: Sequence[float], octahedral_means: Means, lamps: bool) -> LightMaps:
+def _made(texels: Tensor, angles: Sequence[float], octahedral_means: Means, lamps: bool) -> SplitMaps:
     texels, samples, arc = latlong.sampled(texels, Octahedral(FINE_SIDE))
     fine = octahedral_means(texels, FINE_SIDE, samples, arc)
     solid_angles = outside(_solid_angles, FINE_SIDE).to(fine)
-    found, rest = Lamps.none(fine), fine
-    if lamps:
-        found, rest = apart(fine, outside(_axes, FINE_SIDE).to(fine), solid_angles)
-    blurred = _all_blurred(fine * solid_angles, angles)
-    left = _all_blurred(rest * solid_angles, angles) if len(found.directions) else blurred
-    return LightMaps(pad(fine, (0, 1)), blurred, found, left)
+    whole = _maps(fine, solid_angles, angles)
+    if not lamps:
+        return SplitMaps(whole, Lamps.none(fine), whole)
+    found, rest = apart(fine, outside(_axes, FINE_SIDE).to(fine), solid_angles)
+    return SplitMaps(whole, found, _maps(rest, solid_angles, angles) if len(found.directions) else whole)
+
+
+def _maps(fine: Tensor, solid_angles: Tensor, angles: Sequence[float]) -> LightMaps:
+    return LightMaps(pad(fine, (0, 1)), _all_blurred(fine * solid_angles, angles))
 
 
 def _all_blurred(light: Tensor, angles: Sequence[float]) -> Tensor:

@@ -56,7 +56,7 @@ class ClusteredTransfer(nn.Module):
     lighting (k, l', n): the cluster's own lighting axis, from coefficients of the coarse one
     one (k, n, q * e * s): T1 on it; two (k, l'', pairs * e): T2 on the coarsest lighting
     cuts (b * WIDTH, cells) int32: fractional visibility of the lobes, a byte each; cells = 0 where there are none
-    bits (b * WIDTH, words) int32: what is seen of the hemisphere (`ops.gloss`); words = 0 without narrow lobes
+    seen (b * WIDTH, words) int32: what is seen of the hemisphere (`ops.gloss`); words = 0 without narrow lobes
     """
 
     cluster: Tensor
@@ -68,13 +68,13 @@ class ClusteredTransfer(nn.Module):
     one: Tensor
     two: Tensor
     cuts: Tensor
-    bits: Tensor
+    seen: Tensor
 
     def __init__(self, slots: Sequence[int], pairs: Sequence[Sequence[int]], **parts: Tensor) -> None:
         super().__init__()
         self.slots = list(slots)
         self.pairs = [list(pair) for pair in pairs]
-        for name in ("cluster", "place", "weights", "columns", "direct", "lighting", "one", "two", "cuts", "bits"):
+        for name in ("cluster", "place", "weights", "columns", "direct", "lighting", "one", "two", "cuts", "seen"):
             self.register_buffer(name, in_large_pages(parts[name]))
 
     @property
@@ -189,7 +189,7 @@ class ClusteredTransfer(nn.Module):
             "columns": self.columns.shape[1],
             "lighting": [n, coarse, self.two.shape[1]],
             "cuts": self.cuts.shape[1],
-            "bits": self.bits.shape[1],
+            "seen": self.seen.shape[1],
             "slots": self.slots,
             "pairs": self.pairs,
             "storage": str(self.direct.dtype).removeprefix("torch."),
@@ -216,7 +216,7 @@ class ClusteredTransfer(nn.Module):
             "one": (stored, (k, n, q * e * ORDER**2)),
             "two": (stored, (k, coarsest, pairs * e)),
             "cuts": (torch.int32, (b * WIDTH, config["cuts"])),
-            "bits": (torch.int32, (b * WIDTH, config["bits"])),
+            "seen": (torch.int32, (b * WIDTH, config["seen"])),
         }
 
     @classmethod

@@ -35,8 +35,11 @@ LEVELS = 10
 BITS = 64
 """Cells along the edge of the map of bits of what a point sees."""
 
-CUTS = 3
-"""Widths of lobes of which a word of fractional visibility holds the visible share."""
+WIDE_SIDE = 16
+"""Cells along the edge of the map of what a point sees of lobes of 14 degrees, a byte each."""
+
+WIDEST_SIDE = 8
+"""The same for lobes of 28 degrees."""
 
 TILE = 4
 """Cells along the edge of a tile of fractional visibility: 16 words of 4 bytes fill a cache line of 64."""

@@ -1,6 +1,6 @@
 """The plain functions that `ptt.ops.native` has kernels for, by the same names: their oracles and derivatives."""
 
-from ptt.ops.gloss import shine
+from ptt.ops.gloss import cell_sums, irradiance, shine
 from ptt.ops.latlong import octahedral_means
 from ptt.ops.near import of_frames, of_texels, of_views
 from ptt.ops.relight import eigen, expand, light_eigen, lighting
@@ -12,8 +12,10 @@ from ptt.ops.view import view
 
 __all__ = [
     "adaptive",
+    "cell_sums",
     "eigen",
     "expand",
+    "irradiance",
     "light_eigen",
     "lighting",
     "local_light",

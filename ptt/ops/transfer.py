@@ -9,7 +9,7 @@ Factor 0 is the constant 1, for diffuse reflection.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 
 import numpy as np
@@ -105,6 +105,16 @@ def local_bits(bits: Tensor, frames: Tensor, grid: Cube, cells: int) -> Tensor:
         packed = np.packbits(seen.numpy(), axis=1, bitorder="little")
         parts.append(torch.from_numpy(packed).view(torch.int32))
     return torch.cat(parts)
+
+
+def hemispheres(bits: Tensor, frames: Tensor, grid: Cube, cells: int, shares: Mapping[float, int]) -> Tensor:
+    """What points see of their own hemispheres (v, words) int32: `local_bits`, then a byte for each cell of the
+    `lobe_visibility` of lobes of some degrees, on maps of so many cells along an edge.
+
+    bits, frames, grid: as for `lobe_visibility`
+    """
+    wide = [lobe_visibility(bits, frames, grid, side, (angle,))[..., 0] for angle, side in shares.items()]
+    return torch.cat((local_bits(bits, frames, grid, cells), torch.cat(wide, 1).view(torch.int32)), 1)
 
 
 @cache

@@ -25,7 +25,7 @@ from ptt.ops.constants import LEVELS
 from ptt.ops.gloss import Gloss, GlossLight, gloss_of, width
 from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
 from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion
-from ptt.relight.light_step import BlurredLight, LightStep
+from ptt.relight.light_step import LightStep, SplitLight
 from ptt.relight.operations import operations
 
 WIDTHS = (0.0, *(width(level) for level in range(1, LEVELS)))
@@ -35,10 +35,12 @@ DULL = 1e-4
 
 
 class ClusterLight(NamedTuple):
-    """Under one light: what arrives in every region, and the light as lobes see it."""
+    """Under one light: what arrives in every region, and of its lamps (v, c), None without any, and the light as lobes see
+    it."""
 
     arriving: list[ArrivingLight]
-    blurred: BlurredLight
+    of_lamps: list[Tensor] | None
+    split: SplitLight
 
 
 class MaterialLobes(NamedTuple):
@@ -73,14 +75,20 @@ class RegionMaterial(NamedTuple):
 
 class Layer(NamedTuple):
     """A part of what a region sends out: Q and I (b, c, 1 + o + s, w), the lobes that I lights, those that direct light
-    does, and how much of it all there is at each point (n, c), None for all. whole: says whether there is a Q, or I
-    alone."""
+    does, what is diffuse of lamps (v, c), and how much of it all there is at each point (v, c), None for all. whole: says
+    whether there is a Q, or I alone."""
 
     sent: OutgoingLight
     lobes: LitLobes | None
     gloss: tuple[Gloss, GlossLight] | None
+    diffuse: Tensor | None
     share: Tensor | None
     whole: bool
+
+    @property
+    def whole_of_view(self) -> bool:
+        """Tell whether the view step alone shows it."""
+        return self.gloss is None and self.diffuse is None and self.share is None
 
 
 class ClusterExitant(NamedTuple):
@@ -162,14 +170,26 @@ class ClusterSteps(nn.Module):
     @uncompiled
     def incident(self, environment: Environment) -> ClusterLight:
         """The light step."""
-        blurred = self.light.with_lobes(environment)
-        return ClusterLight(self.arriving(blurred.light), blurred)
-
-    def arriving(self, light: Tensor) -> list[ArrivingLight]:
-        """What arrives at the eigen-points of every region, of lighting (c, 6, n, n)."""
+        split = self.light.with_lobes(environment)
+        light = split.whole.light
+        fine = split.rest.light.flatten(1)
         coarse = light[..., :COARSE, :COARSE].flatten(1)
         coarsest = light[..., :COARSEST, :COARSEST].flatten(1)
-        return [self._arriving(region, light.flatten(1), coarse, coarsest) for region in self.model.clustered]
+        arriving = [self._arriving(region, fine, coarse, coarsest) for region in self.model.clustered]
+        return ClusterLight(arriving, self._of_lamps(split.lamps), split)
+
+    def _of_lamps(self, lamps: Lamps) -> list[Tensor] | None:
+        """What arrives of lamps at the points (v, c) of every region; T0 has the light without them."""
+        if not len(lamps.directions):
+            return None
+        return [
+            self._operations.irradiance(self._surface(r, None), region.seen, *lamps)
+            for r, region in enumerate(self.model.clustered)
+        ]
+
+    def _surface(self, region: int, colour: Tensor | None) -> SurfaceBlocks:
+        points, own = self.points[region], self.model.clustered[region]
+        return SurfaceBlocks(points.position, points.frame, colour, own.cuts, own.place)
 
     def _arriving(self, region: ClusteredTransfer, fine: Tensor, coarse: Tensor, coarsest: Tensor) -> ArrivingLight:
         """What arrives at a region's eigen-points, of lighting (c, l) at three resolutions."""
@@ -232,7 +252,7 @@ class ClusterSteps(nn.Module):
         """The narrow lobes of a material; None where it reflects nothing glossily."""
         if not material.shining:
             return None
-        made = gloss_of(material.glossy, material.isotropic, self.count)
+        made = gloss_of(material.glossy, material.isotropic, self.count, self._operations.cell_sums)
         lobes = made.lobes._replace(table=made.lobes.table.to(self.blurs))
         return made._replace(lobes=lobes, values=made.values.to(self.blurs))
 
@@ -259,24 +279,32 @@ class ClusterSteps(nn.Module):
         pairs = [points.pairs for points in self.points]
         h = slot_weights(functions, self.rows, self.keep, slots, pairs)
         layers = []
-        for region, arriving, material, weights in zip(self.model.clustered, light.arriving, materials, h, strict=True):
-            sent = partial(self._sent, region, arriving, *weights)
-            layers.append([layer for tables in material.layers for layer in self._layers(tables, light, sent)])
-        surfaces = [
-            SurfaceBlocks(points.position, points.frame, material.colour, region.cuts, region.place)
-            for points, region, material in zip(self.points, self.model.clustered, materials, strict=True)
-        ]
+        for r, (arriving, material, weights) in enumerate(zip(light.arriving, materials, h, strict=True)):
+            sent = partial(self._sent, self.model.clustered[r], arriving, *weights)
+            lamps = self._diffuse(r, light, material.colour)
+            layers.append([layer for tables in material.layers for layer in self._layers(tables, light, lamps, sent)])
+        surfaces = [self._surface(r, material.colour) for r, material in enumerate(materials)]
         return ClusterExitant(surfaces, layers, self.model.brdf.u_o.flatten(1).T.contiguous())
 
-    def _layers(self, tables: LayerTables, light: ClusterLight, sent: Callable[..., OutgoingLight]) -> list[Layer]:
+    def _diffuse(self, region: int, light: ClusterLight, colour: Tensor | None) -> Tensor | None:
+        """What arrives of lamps at a region's points (v, c), times their colours (c, n)."""
+        if light.of_lamps is None:
+            return None
+        own = light.of_lamps[region]
+        return own if colour is None else own * colour[:, self.model.clustered[region].place].T
+
+    def _layers(
+        self, tables: LayerTables, light: ClusterLight, lamps: Tensor | None, sent: Callable[..., OutgoingLight]
+    ) -> list[Layer]:
         """A layer with its first highlight, and one for the lobes of each further highlight."""
         lobes = [self._lit(own, light) for own in tables.lobes]
         first = lobes[0] if lobes else None
-        gloss = None if tables.gloss is None else (tables.gloss, _light_for(tables.gloss, light.blurred))
-        found = [Layer(sent(tables.coupling, bool(lobes)), first, gloss, tables.share, True)]
+        gloss = None if tables.gloss is None else (tables.gloss, _light_for(tables.gloss, light.split))
+        diffuse = None if lamps is None else lamps * tables.coupling[:, 0, 0]
+        found = [Layer(sent(tables.coupling, bool(lobes)), first, gloss, diffuse, tables.share, True)]
         if lobes[1:]:
             arrived = sent(torch.zeros_like(tables.coupling[:, :1]), True)
-            found += [Layer(arrived, own, None, tables.share, False) for own in lobes[1:]]
+            found += [Layer(arrived, own, None, None, tables.share, False) for own in lobes[1:]]
         return found
 
     def _sent(
@@ -298,9 +326,9 @@ class ClusterSteps(nn.Module):
         """Lobes under a light; under what bounced of it alone, where narrow lobes reflect direct light."""
         maps = None
         if not self.narrow:
-            maps = light.blurred.maps
+            maps = light.split.whole.maps
             maps = maps if len(lobes.which) == len(maps) else maps[lobes.which]
-        return LitLobes(lobes.which, lobes.rho, lobes.axes, lobes.specular, maps, light.blurred.turn, lobes.blurs)
+        return LitLobes(lobes.which, lobes.rho, lobes.axes, lobes.specular, maps, light.split.whole.turn, lobes.blurs)
 
     def radiance(self, exitant: ClusterExitant, eye: Tensor) -> Tensor:
         """The view step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
@@ -312,7 +340,7 @@ class ClusterSteps(nn.Module):
             for surface, at, layers in zip(exitant.surfaces, eyes, exitant.layers, strict=True)
         ]
         radiance: Tensor = self._operations.view(seen, exitant.outgoing)
-        if all(len(layers) == 1 and layers[0].share is None and layers[0].gloss is None for layers in exitant.layers):
+        if all(len(layers) == 1 and layers[0].whole_of_view for layers in exitant.layers):
             return radiance
         parts = list(radiance.split([len(surface.place) for surface in exitant.surfaces]))
         for r, (first, *more) in enumerate(exitant.layers):
@@ -325,19 +353,20 @@ class ClusterSteps(nn.Module):
         return torch.cat(parts)
 
     def _shining(self, exitant: ClusterExitant, region: int, layer: Layer, eye: Tensor) -> Tensor | float:
-        """What narrow lobes reflect of direct light (v, c)."""
+        """What narrow lobes reflect of direct light, and what is diffuse of lamps (v, c)."""
+        diffuse = 0.0 if layer.diffuse is None else layer.diffuse
         if layer.gloss is None:
-            return 0.0
-        bits = self.model.clustered[region].bits
-        shining: Tensor = self._operations.shine(exitant.surfaces[region], eye, bits, *layer.gloss)
-        return shining
+            return diffuse
+        seen = self.model.clustered[region].seen
+        shining: Tensor = self._operations.shine(exitant.surfaces[region], eye, seen, *layer.gloss)
+        return shining + diffuse
 
 
-def _light_for(gloss: Gloss, light: BlurredLight) -> GlossLight:
+def _light_for(gloss: Gloss, light: SplitLight) -> GlossLight:
     """The light of a material's narrow lobes: a sharp one sees lamps as they are on the maps, areas or not."""
     if gloss.sharp:
-        return GlossLight(light.maps, light.turn, *Lamps.none(light.turn))
-    return GlossLight(light.rest, light.turn, *light.lamps)
+        return GlossLight(light.whole.maps, light.whole.turn, *Lamps.none(light.whole.turn))
+    return GlossLight(light.rest.maps, light.rest.turn, *light.lamps)
 
 
 def _some(radiance: Tensor, share: Tensor | None) -> Tensor:

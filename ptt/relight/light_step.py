@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 from ptt.light import prefiltered
 from ptt.light.environment import Environment, Layer
 from ptt.light.lamps import Lamps
-from ptt.light.prefiltered import LightMaps
+from ptt.light.prefiltered import LightMaps, SplitMaps
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.sphere import Grid
 from ptt.relight.operations import operations
@@ -23,14 +23,19 @@ class BlurredLight(NamedTuple):
 
     light (3, *grid.shape): L
     maps (k, cells, 4): blurred by each lobe; turn (3, 3): world = turn @ map
-    lamps: what is small and bright, in the world; rest: as `maps`, without the lamps
     """
 
     light: Tensor
     maps: Tensor
     turn: Tensor
+
+
+class SplitLight(NamedTuple):
+    """A whole light, its lamps in the world, and the rest, which is the whole where there are no lamps."""
+
+    whole: BlurredLight
     lamps: Lamps
-    rest: Tensor
+    rest: BlurredLight
 
 
 @in_python
@@ -64,18 +69,22 @@ class LightStep(nn.Module):
     @uncompiled
     def forward(self, environment: Environment) -> Tensor:
         """L (3, *grid.shape)."""
-        return self._light(environment, self._ready(environment))
+        return self._light(environment, [maps.whole for maps in self._ready(environment)])
 
-    def with_lobes(self, environment: Environment) -> BlurredLight:
+    def with_lobes(self, environment: Environment) -> SplitLight:
         """L, and the light as lobes see it."""
         ready = self._ready(environment)
-        blurred = self._lobes(environment, [maps.blurred for maps in ready])
-        alike = all(maps.rest is maps.blurred for maps in ready)
-        rest = blurred if alike else self._lobes(environment, [maps.rest for maps in ready])
-        turn = environment.layers[0].rotation.to(self.directions)
-        return BlurredLight(self._light(environment, ready), blurred, turn, self._lamps(environment, ready), rest)
+        whole = self._blurred(environment, [maps.whole for maps in ready])
+        alike = all(maps.rest is maps.whole for maps in ready)
+        rest = whole if alike else self._blurred(environment, [maps.rest for maps in ready])
+        return SplitLight(whole, self._lamps(environment, ready), rest)
 
-    def _lamps(self, environment: Environment, ready: list[LightMaps]) -> Lamps:
+    def _blurred(self, environment: Environment, ready: list[LightMaps]) -> BlurredLight:
+        turn = environment.layers[0].rotation.to(self.directions)
+        maps = self._lobes(environment, [maps.blurred for maps in ready])
+        return BlurredLight(self._light(environment, ready), maps, turn)
+
+    def _lamps(self, environment: Environment, ready: list[SplitMaps]) -> Lamps:
         """The lamps of all layers."""
         found = []
         for layer, maps in zip(environment.layers, ready, strict=True):
@@ -83,7 +92,7 @@ class LightStep(nn.Module):
             found.append((directions, maps.lamps.powers * layer.gain.to(directions)))
         return Lamps(*(torch.cat(parts) for parts in zip(*found, strict=True)))
 
-    def _ready(self, environment: Environment) -> list[LightMaps]:
+    def _ready(self, environment: Environment) -> list[SplitMaps]:
         """The maps of every layer."""
         return [self.maps(layer) for layer in environment.layers]
 
@@ -115,10 +124,12 @@ class LightStep(nn.Module):
         return blurred * pad(layer.gain, (0, 1)).to(blurred) if layer.changed else blurred
 
     @opaque
-    def maps(self, layer: Layer) -> LightMaps:
+    def maps(self, layer: Layer) -> SplitMaps:
         """One map, fine and blurred by each lobe, in its own frame."""
         means = self._operations.octahedral_means
         ready = prefiltered.light_maps(layer.texels, self.angles, means, self.lamps)
-        fine, blurred, rest = (maps.to(self.directions) for maps in (ready.fine, ready.blurred, ready.rest))
+        whole = LightMaps(*(maps.to(self.directions) for maps in ready.whole))
         lamps = Lamps(*(part.to(self.directions) for part in ready.lamps))
-        return LightMaps(fine, blurred, lamps, blurred if ready.rest is ready.blurred else rest)
+        if ready.rest is ready.whole:
+            return SplitMaps(whole, lamps, whole)
+        return SplitMaps(whole, lamps, LightMaps(*(maps.to(self.directions) for maps in ready.rest)))

@@ -51,7 +51,7 @@ class TransferRelighter(Relighter):
         if not 1 <= lobes <= MOST_CELLS:
             raise ValueError(f"lobes must be in 1..{MOST_CELLS}, got {lobes}")
         if compiled and model.highlights == "lobes":
-            native.prepare("gloss")
+            native.prepare("cells", "gloss")
         self.model = model
         self.steps: Any = ClusterSteps(model, compiled, lobes) if len(model.regions) else PointSteps(model)
         self._sources = list(model.modules())

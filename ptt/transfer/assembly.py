@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -20,8 +21,9 @@ from ptt.models.indirect import COARSE, COARSEST, ORDER, responses
 from ptt.models.slots import Slot, slots_of
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.models.transfer_model import Highlights
-from ptt.ops import gloss, haar, transfer
+from ptt.ops import haar, transfer
 from ptt.ops.constants import BITS
+from ptt.ops.gloss import SHARES
 from ptt.ops.sphere import Cube
 from ptt.transfer.bounces import CUTS, Bounces
 from ptt.transfer.raw import RawTransfer
@@ -41,8 +43,9 @@ MEMORY_SHARE = 0.5  # of the memory allowed, which T1 and T2 may fill
 class DirectTransfer:
     """T0 of all points.
 
-    indices, values (v, k): its largest Haar coefficients (`haar.Truncated`, over factors times cells)
-    coarse (v, 1 + i, l): all of the coarsest
+    indices, values (v, k): its largest Haar coefficients (`haar.Truncated`, over factors times cells), of the diffuse
+        factor alone where narrow lobes reflect glossily
+    coarse (v, 1 + i, l): all of the coarsest, of every factor
     error: relative L2 error of the largest coefficients
     """
 
@@ -89,7 +92,7 @@ class Transfer:
     raw, brdf, basis: what it was made from
     direct, indirect: T0, and T1 and T2
     cuts (v, cells, k) uint8: fractional visibility of the lobes (`transfer.lobe_visibility`)
-    bits (v, words) int32: what points see of their hemispheres (`transfer.local_bits`); no words without narrow lobes
+    seen (v, words) int32: what points see of their hemispheres (`transfer.hemispheres`); no words without narrow lobes
     weights: what each part adds to the picture
     highlights: how direct light is reflected glossily (`Highlights`)
     """
@@ -99,7 +102,7 @@ class Transfer:
     basis: BRDFBasis
     direct: DirectTransfer
     cuts: Tensor
-    bits: Tensor
+    seen: Tensor
     indirect: IndirectTransfer
     weights: PictureWeights
     highlights: Highlights
@@ -135,20 +138,20 @@ def assemble(
     axes = _axis_count(len(raw.receivers), len(slots), raw.bounces, max_memory)
     narrow = highlights == "lobes"
     direct = direct_light(raw, brdf, coefficients, progress, dull=narrow)
-    cuts = _cuts(raw, gloss.CUT_ANGLES if narrow else brdf.angles, progress)
-    bits = _bits(raw) if narrow else torch.zeros(len(raw.receivers), 0, dtype=torch.int32)
+    cuts = _cuts(raw, brdf.angles if slots or not narrow else (), progress)
+    seen = _seen(raw, progress) if narrow else torch.zeros(len(raw.receivers), 0, dtype=torch.int32)
     weights = _weights(brdf, basis, slots, dull=narrow)
     if slots:
         indirect = _indirect(Bounces(raw, brdf, basis, direct.coarse, cuts), weights, axes, progress)
     else:
         indirect = _no_indirect(len(raw.receivers))
-    return Transfer(raw, brdf, basis, direct, cuts, bits, indirect, weights, highlights)
+    return Transfer(raw, brdf, basis, direct, cuts, seen, indirect, weights, highlights)
 
 
 def direct_light(
     raw: RawTransfer, brdf: TensorBRDF, coefficients: int | None, progress: bool, dull: bool = False
 ) -> DirectTransfer:
-    """T0 of every point; dull: through the diffuse factor alone.
+    """T0 of every point; dull: the largest coefficients are those of the diffuse factor.
 
     Each point shares its coefficients out among its factors: magnitudes are weighted by what a factor adds to the
     picture and by what natural light has in a wavelet. In a trial on 160 vertices of the bunny under uffizi, with 96
@@ -159,18 +162,20 @@ def direct_light(
     keep = grid.cells if coefficients is None else coefficients
     if not 6 <= keep <= grid.cells:
         raise ValueError(f"coefficients must be in 6..{grid.cells}, got {keep}")
-    factors = brdf.u_i[:0] if dull else brdf.u_i
-    weights = torch.outer(brdf.importance()[: 1 + len(factors)], natural(grid, ALWAYS)).flatten()
+    kept = 1 if dull else 1 + len(brdf.u_i)
+    factors = brdf.u_i if raw.bounces else brdf.u_i[: kept - 1]
+    weights = torch.outer(brdf.importance()[:kept], natural(grid, ALWAYS)).flatten()
     coarse = min(COARSE, grid.n)
     parts = []
     whole = 0.0
     left = 0.0
     with tqdm(total=len(raw.receivers), desc="direct light", unit=" points", disable=not progress) as bar:
         for t0 in _blocks(raw, grid, factors):
-            largest = haar.truncate(t0.flatten(1), keep * t0.shape[1], weights)
+            shown = t0[:, :kept].flatten(1)
+            largest = haar.truncate(shown, keep * kept, weights)
             parts.append((*largest, t0.unflatten(2, grid.shape)[..., :coarse, :coarse].flatten(2)))
-            whole += float(t0.norm()) ** 2
-            left += float(t0.flatten(1).scatter(1, largest.indices.long(), 0.0).norm()) ** 2
+            whole += float(shown.norm()) ** 2
+            left += float(shown.scatter(1, largest.indices.long(), 0.0).norm()) ** 2
             bar.update(len(t0))
     indices, values, coarsest = (torch.cat(part) for part in zip(*parts, strict=True))
     return DirectTransfer(indices, values, coarsest, math.sqrt(left / whole) if whole else 0.0)
@@ -198,20 +203,25 @@ def _blocks(raw: RawTransfer, grid: Cube, factors: Tensor) -> Iterator[Tensor]:
         yield haar.analyse(t0.unflatten(2, grid.shape)).flatten(2)
 
 
-def _bits(raw: RawTransfer) -> Tensor:
+def _seen(raw: RawTransfer, progress: bool) -> Tensor:
     """What points see of their hemispheres (v, words) int32."""
-    return transfer.local_bits(raw.visible, raw.receivers.frames, Cube(raw.resolution), BITS)
+    return _of_visibility(raw, partial(transfer.hemispheres, cells=BITS, shares=SHARES), "hemispheres", progress)
 
 
 def _cuts(raw: RawTransfer, angles: Sequence[float], progress: bool) -> Tensor:
     """Fractional visibility (v, cells, k) uint8 of lobes of so many degrees."""
     if not angles:
         return torch.zeros(len(raw.receivers), CUTS**2, 0, dtype=torch.uint8)
-    parts = []
+    return _of_visibility(raw, partial(transfer.lobe_visibility, cells=CUTS, angles=angles), "lobes", progress)
+
+
+def _of_visibility(raw: RawTransfer, made: Callable[[Tensor, Tensor, Cube], Tensor], what: str, progress: bool) -> Tensor:
+    """What is made (v, ...) of the visibility and the frames of all points, some at a time."""
     grid = Cube(raw.resolution)
-    with tqdm(total=len(raw.receivers), desc="lobes", unit=" points", disable=not progress) as bar:
+    parts = []
+    with tqdm(total=len(raw.receivers), desc=what, unit=" points", disable=not progress) as bar:
         for visible, frames in zip(raw.visible.split(512), raw.receivers.frames.split(512), strict=True):
-            parts.append(transfer.lobe_visibility(visible, frames, grid, CUTS, angles))
+            parts.append(made(visible, frames, grid))
             bar.update(len(frames))
     return torch.cat(parts)
 

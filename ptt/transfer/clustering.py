@@ -106,7 +106,7 @@ def _points_for(clusters: Clusters, regions: list[_RegionTransfer]) -> int:
 class _RegionTransfer:
     """The transfer to one region's points, first..end, from the slots and pairs of slots that light them.
 
-    glossy: says whether the region may show lobes
+    cut: says whether the region may show lobes of the BRDF tensor under direct light
     """
 
     def __init__(self, transfer: Transfer, region: int) -> None:
@@ -116,7 +116,7 @@ class _RegionTransfer:
         self.first = first
         self.end = end
         shines = any(layer.highlights for layer in own.materials[own.names[region]].layers)
-        self.glossy = transfer.cuts.shape[2] > 0 and (own.editable[region] or shines)
+        self.cut = transfer.highlights == "tensor" and bool(transfer.brdf.angles) and (own.editable[region] or shines)
         one = transfer.indirect.one[first:end]
         two = transfer.indirect.two[first:end]
         lit = one.abs().amax((0, 2, 3)) > 0 if one.numel() else torch.zeros(0)
@@ -132,7 +132,7 @@ class _RegionTransfer:
     def bytes(self, clusters: Clusters) -> int:
         """The size of one cluster."""
         indirect = self.transfer.indirect
-        factors = self.transfer.direct.coarse.shape[1]
+        factors = len(self.transfer.weights.factors)
         m = min(clusters.columns, Cube(self.transfer.raw.resolution).cells)
         n = self._lighting_dimensions(clusters)
         each = factors * m + len(self.slots) * ORDER**2 * n + len(self.pairs) * indirect.two.shape[3]
@@ -172,23 +172,22 @@ class _RegionTransfer:
             one=t1.to(clusters.storage),
             two=t2.to(clusters.storage),
             cuts=self._cuts(place, len(cluster)),
-            bits=self._bits(place, len(cluster)),
+            seen=self._seen(place, len(cluster)),
         )
 
     def _cuts(self, place: Tensor, blocks: int) -> Tensor:
         """Fractional visibility (b * WIDTH, cells) int32, a byte for each lobe, in tiles; no cells without lobes."""
-        if not self.glossy:
+        if not self.cut:
             return torch.zeros(blocks * WIDTH, 0, dtype=torch.int32)
         cuts = self.transfer.cuts[self.first : self.end]
         bytes_ = torch.zeros(blocks * WIDTH, cuts.shape[1], MOST_LOBES, dtype=torch.uint8)
         bytes_[place[:, None], tiles(math.isqrt(cuts.shape[1])), : cuts.shape[2]] = cuts
         return bytes_.view(torch.int32).squeeze(2)
 
-    def _bits(self, place: Tensor, blocks: int) -> Tensor:
-        """What the points see (b * WIDTH, words) int32; no words where none is kept."""
-        own = self.transfer.bits[self.first : self.end]
-        bits = torch.zeros(blocks * WIDTH, own.shape[1] if self.glossy else 0, dtype=torch.int32)
-        return bits.index_copy(0, place, own[:, : bits.shape[1]])
+    def _seen(self, place: Tensor, blocks: int) -> Tensor:
+        """What the points see of their hemispheres (b * WIDTH, words) int32."""
+        own = self.transfer.seen[self.first : self.end]
+        return own.new_zeros(blocks * WIDTH, own.shape[1]).index_copy(0, place, own)
 
     def _sketch(self) -> Tensor:
         """Features (v, r) of all points on common directions."""
@@ -200,7 +199,8 @@ class _RegionTransfer:
     def _features(self, rows: Tensor) -> Tensor:
         """T0, T1 and T2 of some points (v,), weighted by what they add to the picture, side by side."""
         weights = self.transfer.weights
-        t0 = self.transfer.direct.coarse[rows + self.first] * weights.factors[:, None] * weights.light
+        coarse = self.transfer.direct.coarse[rows + self.first, : len(weights.factors)]
+        t0 = coarse * weights.factors[:, None] * weights.light
         t1, t2 = self._indirect(rows)
         t1 = t1 * weights.of_t1(self.slots)
         t2 = t2 * (weights.slots[self.pairs].prod(1)[:, None] * weights.harmonics[0])
@@ -232,7 +232,7 @@ class _RegionTransfer:
         """The coefficients (m,) that matter most, and T0 (m, e * (1 + i)) of the eigen-points there."""
         direct = self.transfer.direct
         grid = Cube(self.transfer.raw.resolution)
-        factors = direct.coarse.shape[1]
+        factors = len(self.transfer.weights.factors)
         index = direct.indices[rows + self.first].long()
         t0 = torch.zeros(factors * grid.cells, combination.shape[1], dtype=torch.float32)
         values = direct.values[rows + self.first][..., None] * combination[:, None]

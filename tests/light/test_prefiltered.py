@@ -36,14 +36,14 @@ def test_a_small_lamp_is_seen_through_the_lobe(angle: float) -> None:
     for axis in axes:
         weight = lobes.gaussian((directions @ axis).clamp(-1, 1).acos(), angle) * solid
         wanted.append(float((light.radiance(directions)[:, 0].double() * weight).sum() / weight.sum()))
-    maps = light_maps(light.map, (angle,)).blurred
+    maps = light_maps(light.map, (angle,)).whole.blurred
     got = light_about(maps, axes[:, None].float())[:, 0, 0]
     torch.testing.assert_close(got.double(), torch.tensor(wanted).double(), rtol=0, atol=0.1 * wanted[0])
     assert wanted[0] > 1 > wanted[-1] and got[0] > 10 * got[-1]
 
 
 def test_a_constant_light_stays_constant() -> None:
-    maps = light_maps(ptt.Environment.constant((1.0, 2.0, 3.0)).map, (0.0, 7.0, 14.0, 21.0))
+    maps = light_maps(ptt.Environment.constant((1.0, 2.0, 3.0)).map, (0.0, 7.0, 14.0, 21.0)).whole
     for map_of in (maps.fine, *maps.blurred):
         assert torch.allclose(map_of[:, :3], torch.tensor([1.0, 2.0, 3.0]), rtol=1e-5)
         assert not map_of[:, 3].any()
@@ -51,7 +51,7 @@ def test_a_constant_light_stays_constant() -> None:
 
 def test_the_integral_is_kept() -> None:
     """Of the fine map, by its solid angles: that of the lamp, 2 pi (1 - cos radius) times 100."""
-    fine = light_maps(ptt.Environment.area_light(LAMP, RADIUS, 100.0).map, ()).fine
+    fine = light_maps(ptt.Environment.area_light(LAMP, RADIUS, 100.0).map, ()).whole.fine
     solid = Octahedral(math.isqrt(len(fine))).solid_angles().flatten()
     expected = 100 * 2 * math.pi * (1 - math.cos(math.radians(RADIUS)))
     assert float((fine[:, 0] * solid).sum()) == pytest.approx(expected, rel=0.02)

@@ -13,7 +13,7 @@ from torch.nn.functional import normalize
 from ptt.materials.shapes import GGX, Analytic, BlinnPhong, CookTorrance, Ward
 from ptt.ops import gloss
 from ptt.ops.constants import BITS, LEVELS
-from ptt.ops.octahedral import HemiOctahedral, Octahedral, bordered, tiles
+from ptt.ops.octahedral import HemiOctahedral, Octahedral, bordered
 from ptt.ops.view import SurfaceBlocks
 
 SHAPES: list[Analytic] = [
@@ -39,28 +39,25 @@ def tilted(degrees: float, turn: float = 0.0, count: int = 1) -> Tensor:
 
 
 def points(count: int, seen: Callable[[Tensor], Tensor] | None = None) -> tuple[SurfaceBlocks, Tensor]:
-    """Points whose frames are the world's, and their bits; seen: of local directions (n, 3), whether they are free."""
+    """Points whose frames are the world's, and what they see; seen: of local directions (n, 3), whether they are free."""
     fine = HemiOctahedral(BITS).directions().reshape(-1, 3).float()
     free = torch.ones(len(fine), dtype=torch.bool) if seen is None else seen(fine)
     words = (free.reshape(-1, 32).long() << torch.arange(32)).sum(1)
     bits = (words - (words >= 2**31).long() * 2**32).int()
-    axes = HemiOctahedral(24).directions().reshape(-1, 3).float()
-    cosine = (axes @ fine.T).clamp(-1, 1)
     solid = HemiOctahedral(BITS).solid_angles().reshape(-1).float()
-    shares = torch.zeros(24 * 24, 4, dtype=torch.uint8)
-    for k, angle in enumerate(gloss.CUT_ANGLES):
+    shares = []
+    for angle, side in gloss.SHARES.items():
+        cosine = (HemiOctahedral(side).directions().reshape(-1, 3).float() @ fine.T).clamp(-1, 1)
         weight = torch.exp(-(cosine.acos() ** 2) / (2 * (math.radians(angle) / 3) ** 2)) * solid * fine[:, 2]
-        shares[:, k] = (255 * (weight @ free.float()) / weight.sum(1)).round().to(torch.uint8)
-    cuts = torch.zeros_like(shares)
-    cuts[tiles(24)] = shares
+        shares.append((255 * (weight @ free.float()) / weight.sum(1)).round().to(torch.uint8))
     blocks = SurfaceBlocks(
         torch.zeros(3, count),
         torch.eye(3)[:, :, None].repeat(1, 1, count),
         None,
-        cuts.view(torch.int32).T.repeat(count, 1),
+        torch.empty(0),
         torch.arange(count),
     )
-    return blocks, bits.repeat(count, 1)
+    return blocks, torch.cat((bits, torch.cat(shares).view(torch.int32))).repeat(count, 1)
 
 
 def light_of(radiance: Callable[[Tensor], Tensor], lamps: Tensor | None = None) -> gloss.GlossLight:
@@ -185,3 +182,12 @@ def test_octaves_are_linear_between_powers_of_two() -> None:
     x = torch.tensor([1.0, 1.5, 2.0, 3.0, 0.25, 1e-6], dtype=torch.float64)
     assert gloss.octaves(x)[:5].tolist() == [0.0, 0.5, 1.0, 1.5, -2.0]
     assert torch.allclose(gloss.octaves_back(gloss.octaves(x)), x)
+
+
+def test_irradiance_of_lamps_is_power_times_cosine() -> None:
+    """A lamp behind a wall, and one below the horizon, give nothing."""
+    blocks, seen = points(16, lambda d: d[:, 0] > -0.1)
+    lamps = normalize(torch.tensor([[0.5, 0.1, 1.0], [-0.6, 0.2, 1.0], [0.3, 0.0, -1.0], [0.2, 0.9, 0.3]]), dim=1)
+    powers = torch.rand(4, 3, generator=torch.Generator().manual_seed(2))
+    expected = powers[0] * lamps[0, 2] + powers[3] * lamps[3, 2]
+    assert torch.allclose(gloss.irradiance(blocks, seen, lamps, powers), expected.expand(16, 3))

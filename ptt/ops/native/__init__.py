@@ -6,7 +6,7 @@ tells why.
 """
 
 from ptt.ops.native.forming import quantised
-from ptt.ops.native.glossing import shine
+from ptt.ops.native.glossing import cell_sums, irradiance, shine
 from ptt.ops.native.kernels import available, prepare
 from ptt.ops.native.maps import octahedral_means
 from ptt.ops.native.near import of_frames, of_texels, of_views
@@ -26,8 +26,10 @@ from ptt.ops.native.viewing import view
 __all__ = [
     "adaptive",
     "available",
+    "cell_sums",
     "eigen",
     "expand",
+    "irradiance",
     "light_eigen",
     "lighting",
     "local_light",

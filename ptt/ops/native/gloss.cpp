@@ -9,9 +9,10 @@
 
 #include "lanes.h"
 
-constexpr int AHEAD = 2;    // groups, whose cuts are fetched: in a trial on 62,976 points 1 was slower
+constexpr int AHEAD = 2;    // groups, of which what is seen is fetched
 constexpr int COLUMNS = 7;  // of a lobe: along, across, mirror, level, and w of each channel
-constexpr int POINT = BITS * BITS / 32;                // words of the bits of a point
+constexpr int WIDE_FROM = BITS * BITS / 8, WIDEST_FROM = WIDE_FROM + WIDE_SIDE * WIDE_SIDE;  // bytes of what a point sees
+constexpr int SEEN = WIDEST_FROM + WIDEST_SIDE * WIDEST_SIDE;
 constexpr int RING = 3 * SECTORS, ROW = RINGS * RING;  // numbers of f
 
 // Of a lobe of a group of points
@@ -52,11 +53,11 @@ static inline void find(const Shine &g, const Look &at, const Lanes (&turned)[3]
     lobe.first = ((below * g.map + on.row) * g.map + on.column) * CHANNELS, lobe.x = on.x, lobe.y = on.y;
 }
 
-// Asks for a part of the cuts of a group, all in order: in the trial, to ask for the lines in use took longer.
+// Asks for a part of what a group sees, all in order.
 static inline void fetch(const Shine &g, int64_t v, int part, int parts) {
-    const int stride = g.cells * g.cells, lines = stride * LANES * 4 / LINE;
+    constexpr int lines = SEEN * LANES / LINE;
     for (int i = lines * part / parts; i < lines * (part + 1) / parts; ++i)
-        __builtin_prefetch((const char *)(g.cuts + v * stride) + i * LINE, 0, 2);
+        __builtin_prefetch(g.seen + v * SEEN + i * LINE, 0, 2);
 }
 
 static inline void look(const Shine &g, int64_t v, Look &at) {
@@ -89,41 +90,35 @@ static inline void look(const Shine &g, int64_t v, Look &at) {
 }
 
 // ptt.ops.gloss.bits_at
-static inline Lanes bits_at(const Shine &g, int64_t v, Lanes a, Lanes b) {
+static inline Lanes bits_at(const uint8_t *seen, Lanes a, Lanes b) {
     const Place p = place(a, b, BITS);
-    const Ints byte = clamp(p.column >> 3, 4), shift = p.column - 8 * byte;  // from which 32 bits hold both columns
-    const Ints first = (lane() * BITS + p.row) * (BITS / 8) + byte;
-    const Ints above = gather_bytes(g.bits + v * POINT, first) >> shift;
-    const Ints below = gather_bytes(g.bits + v * POINT, first + BITS / 8) >> shift;
-    const Lanes seen[4] = {real(above & 1), real(above >> 1 & 1), real(below & 1), real(below >> 1 & 1)};
-    return blend(seen, p.x, p.y);
+    const Ints byte = clamp(p.column >> 3, BITS / 8 - 4), shift = p.column - 8 * byte;  // 32 bits with both columns
+    const Ints first = lane() * SEEN + p.row * (BITS / 8) + byte;
+    const Ints above = gather_bytes(seen, first) >> shift, below = gather_bytes(seen, first + BITS / 8) >> shift;
+    const Lanes bits[4] = {real(above & 1), real(above >> 1 & 1), real(below & 1), real(below >> 1 & 1)};
+    return blend(bits, p.x, p.y);
 }
 
-// The mean of the cuts, between those of two widths next to each other: width 0..CUTS - 1
-static inline Lanes cuts_at(const Shine &g, int64_t v, Lanes a, Lanes b, Lanes width) {
-    const int stride = g.cells * g.cells;
-    const Place p = place(a, b, g.cells);
-    const Ints which = clamp(whole(width), CUTS - 2), point = lane() * stride;
-    const Ints rows[2] = {in_row(p.row, g.cells) + point, in_row(p.row + 1, g.cells) + point};
-    const Ints columns[2] = {in_column(p.column), in_column(p.column + 1)};
-    const Lanes share = width - real(which);
-    Lanes cut[4];
-    for (int j = 0; j < 4; ++j) {
-        const Ints cell = rows[j >> 1] + columns[j & 1];
-        const Ints word = (Ints)gather((const float *)g.cuts + v * stride, cell) >> (8 * which);
-        const Lanes narrow = real(word & BYTE), wide = real(word >> 8 & BYTE);
-        cut[j] = narrow + share * (wide - narrow);
-    }
-    return blend(cut, p.x, p.y) * (1.0f / BYTE);
+// The bilinear mean of a map of N x N bytes, the byte FROM of a point and those after it
+template <int FROM, int N>
+static inline Lanes bytes_at(const uint8_t *seen, Lanes a, Lanes b) {
+    const Place p = place(a, b, N);
+    const Ints byte = clamp(p.column, N - 4), shift = 8 * (p.column - byte);
+    const Ints first = lane() * SEEN + FROM + p.row * N + byte;
+    const Ints above = gather_bytes(seen, first) >> shift, below = gather_bytes(seen, first + N) >> shift;
+    const Lanes shares[4] = {real(above & BYTE), real(above >> 8 & BYTE), real(below & BYTE), real(below >> 8 & BYTE)};
+    return blend(shares, p.x, p.y) * (1.0f / BYTE);
 }
 
 // ptt.ops.gloss.visible
-static inline Lanes visible(const Shine &g, int64_t v, const Lobe &lobe) {
-    const Lanes at = least(most((lobe.level - 1.0f) * 0.5f, all(0)), all(CUTS)), wide = least(at, all(1));
-    Lanes seen = all(0);
-    if (any(wide < 1)) seen = bits_at(g, v, lobe.a, lobe.b);
-    if (any(wide > 0)) seen += wide * (cuts_at(g, v, lobe.a, lobe.b, most(at - 1.0f, all(0))) - seen);
-    return seen;
+static inline Lanes visible(const uint8_t *seen, const Lobe &lobe) {
+    const Lanes at = (lobe.level - 1.0f) * 0.25f, wide = least(most(at, all(0)), all(1));
+    const Lanes widest = least(most(2.0f * at - 2.0f, all(0)), all(1));
+    Lanes through = all(0);
+    if (any(wide < 1)) through = bits_at(seen, lobe.a, lobe.b);
+    if (any((wide > 0) & (widest < 1))) through += wide * (bytes_at<WIDE_FROM, WIDE_SIDE>(seen, lobe.a, lobe.b) - through);
+    if (any(widest > 0)) through += widest * (bytes_at<WIDEST_FROM, WIDEST_SIDE>(seen, lobe.a, lobe.b) - through);
+    return through;
 }
 
 // Two numbers of four channels, of which the second lies GAP further on, between those at p and those a step further
@@ -143,7 +138,7 @@ static inline void reflect(const Shine &g, int64_t v, const Look &at, int64_t la
     for (int k = 0; k < g.lobes; ++k) {
         fetch(g, later, k, g.lobes + LANES);
         const Lobe &lobe = at.lobes[k];
-        const Lanes seen = visible(g, v, lobe), right = seen * lobe.x;
+        const Lanes seen = visible(g.seen + v * SEEN, lobe), right = seen * lobe.x;
         if (!any(seen > 0)) continue;
         const Lanes shares[4] = {seen - right, right, lobe.y, lobe.next};
         std::memcpy(first[count], &lobe.first, sizeof *first), std::memcpy(share[count], shares, sizeof *share);
@@ -168,19 +163,25 @@ static inline void reflect(const Shine &g, int64_t v, const Look &at, int64_t la
     }
 }
 
-// What comes of a lamp, added to sums.
-static inline void lamp(const Shine &g, int64_t v, const Look &at, int64_t m, float (*sums)[CHANNELS]) {
-    Lanes wi[3], a, b;
+// How much of a lamp a group sees, times the cosine, and the local directions to it (ptt.ops.gloss._lit)
+static inline Lanes lit_by(const float *lamp, const Lanes (&frame)[3][3], const uint8_t *seen, Lanes (&wi)[3]) {
     for (int r = 0; r < 3; ++r) {
         wi[r] = all(0);
-        for (int c = 0; c < 3; ++c) wi[r] += at.frame[r][c] * g.lamps[3 * m + c];
+        for (int c = 0; c < 3; ++c) wi[r] += frame[r][c] * lamp[c];
     }
-    if (!any(wi[2] > 0)) return;
+    if (!any(wi[2] > 0)) return all(0);
+    Lanes a, b;
     hemi_octahedral(wi, a, b);
+    return most(wi[2], all(0)) * bits_at(seen, a, b);
+}
+
+// What comes of a lamp, added to sums.
+static inline void lamp(const Shine &g, int64_t v, const Look &at, int64_t m, float (*sums)[CHANNELS]) {
+    Lanes wi[3];
+    const Lanes seen = lit_by(g.lamps + 3 * m, at.frame, g.seen + v * SEEN, wi);
+    if (!any(seen > 0)) return;
     alignas(64) float lit[LANES], along[LANES], around[LANES];
     alignas(64) int32_t first[LANES];
-    const Lanes seen = most(wi[2], all(0)) * bits_at(g, v, a, b);
-    if (!any(seen > 0)) return;
     const Lanes x = wi[0] + at.wo[0], y = wi[1] + at.wo[1], z = wi[2] + size(at.wo[2]);
     const Lanes square = most((x * x + y * y) / most(z * z, all(TINY)), all(TINY));
     const Ints octaves = (Ints)square - ((127 + SHARPEST) << 23);  // of which a float's bits are 2^-23 parts
@@ -230,5 +231,26 @@ extern "C" int32_t ptt_shine(const Shine *given) {
         for (int64_t p = g.points * t / of; p < g.points * (t + 1) / of; ++p)
             std::memcpy(g.out + 3 * p, g.line + 3 * g.place[p], 3 * sizeof(float));
     }
+    return DONE;
+}
+
+// ptt.ops.gloss.irradiance
+extern "C" int32_t ptt_irradiance(const Irradiance *given) {
+    const Irradiance g = *given;
+    in_parallel(g.n / LANES, g.threads, [=](int64_t group) {
+        const int64_t v = group * LANES;
+        Lanes frame[3][3], sum[3] = {};
+        for (int r = 0; r < 3; ++r)
+            for (int c = 0; c < 3; ++c) frame[r][c] = load(g.frame + (3 * r + c) * g.n + v);
+        for (int64_t m = 0; m < g.sources; ++m) {
+            Lanes wi[3];
+            const Lanes lit = lit_by(g.lamps + 3 * m, frame, g.seen + v * SEEN, wi);
+            for (int c = 0; c < 3; ++c) sum[c] += g.powers[3 * m + c] * lit;
+        }
+        for (int l = 0; l < LANES; ++l)
+            for (int c = 0; c < 3; ++c) g.line[3 * (v + l) + c] = sum[c][l];
+    });
+    in_parallel(g.points, g.threads,
+                [=](int64_t p) { std::memcpy(g.out + 3 * p, g.line + 3 * g.place[p], 3 * sizeof(float)); });
     return DONE;
 }

@@ -81,12 +81,29 @@ struct View {
 
 struct Shine {
     const float *position, *frame, *eye, *table, *values, *maps, *turn, *lamps, *powers;
-    const int32_t *cuts, *bits;
+    const uint8_t *seen;         // of each point bits, then bytes
     const int64_t *place;
     float *line, *out;           // scratch (n, 3), and (points, 3)
     int64_t n, points, sources;  // sources: lamps
-    int32_t distant, lobes, cells, map, levels;  // cells, map: sides of grids, with the border
+    int32_t distant, lobes, map, levels;  // map: the side of the grid, with the border
     int32_t threads;
+};
+
+struct Irradiance {
+    const float *frame, *lamps, *powers;
+    const uint8_t *seen;
+    const int64_t *place;
+    float *line, *out;           // scratch (n, 3), and (points, 3)
+    int64_t n, points, sources;
+    int32_t threads;
+};
+
+struct CellSums {
+    const float *mirrored, *whole;             // (tilts, 3, nodes); whole: whole numbers, steps to 1
+    const float *mass, *reflected, *centres;   // (turns * tilts, nodes), (turns * tilts, nodes, 3), (turns, cells, 3)
+    float *out;                                // (turns * tilts, cells, 6)
+    int64_t turns, tilts, nodes, cells;
+    int32_t first, rounds, steps, threads;  // first, rounds: of Lloyd's algorithm, at the first tilt and at the others
 };
 
 // ptt/ops/rotation.py

@@ -61,7 +61,7 @@ struct Look {
     Lanes wo[3], flat[3], normal[3], rho[K + !K], along[K + !K], up[K + !K];
     Place cut[K + !K];
     Ints first[K + !K];  // word of the cuts
-    bool lit[K + !K];     // whether any point has the lobe
+    bool lit[K + !K];     // whether any point has the lobe, and direct light
 };
 
 template <int K>
@@ -92,7 +92,7 @@ static inline void look(const View &g, int64_t v, Look<K> &at) {
         mix(g.axes, 2 * K, pairs, shares, [&](int k, Lanes r) { (k < K ? at.along[k] : at.up[k - K]) = r; });
         const Lanes flat = size(x) + size(y), a = x + y, b = x - y;
         for (int k = 0; k < K; ++k) {
-            if (!(at.lit[k] = any(at.rho[k] != 0))) continue;
+            if (!(at.lit[k] = g.maps && any(at.rho[k] != 0))) continue;
             const Lanes scaled = at.along[k] / most(size(at.along[k]) * flat + size(at.up[k]), all(TINY));
             at.cut[k] = place(a * scaled, b * scaled, g.cells);
             at.first[k] = in_row(at.cut[k].row, g.cells) + in_column(at.cut[k].column);

@@ -139,7 +139,6 @@ def _of_lobes(gloss: LitLobes, cuts: Tensor, harmonics: int) -> Conditions:
     tilts = len(axes)
     yield of_type(torch.float32, rho, axes, specular, maps, turn, blurs), "lobes must be float32"
     yield of_type(torch.int64, which), "which must be int64"
-    yield of_type(torch.int32, cuts) and contiguous(cuts), "cuts must be int32, contiguous"
     yield 0 < k <= MOST_LOBES, f"there must be 1..{MOST_LOBES} lobes"
     yield rho.shape == (tilts, k), "lobes must be isotropic: rho (tilts, k)"
     yield axes.shape == (tilts, 2 * k), "axes must be (tilts, 2 k)"
@@ -148,9 +147,10 @@ def _of_lobes(gloss: LitLobes, cuts: Tensor, harmonics: int) -> Conditions:
     if maps is not None:
         yield maps.ndim == 3 and maps.shape[::2] == (k, CHANNELS), "maps must be (k, cells, 4)"
         yield maps.shape[1] > 1 and square(maps.shape[1]), "maps must be square"
+        yield of_type(torch.int32, cuts) and contiguous(cuts), "cuts must be int32, contiguous"
+        yield square(cuts.shape[1]) and side(cuts.shape[1]) % TILE == 0, "cuts must be a square of whole tiles"
     yield harmonics in (0, HARMONICS), f"values must have no harmonics, or {HARMONICS}"
     yield harmonics == 0 or blurs.shape == (k, HARMONICS), f"blurs must be (k, {HARMONICS})"
-    yield square(cuts.shape[1]) and side(cuts.shape[1]) % TILE == 0, "cuts must be a square of whole tiles"
 
 
 def _fake(*arguments: Sequence[Tensor]) -> Tensor:

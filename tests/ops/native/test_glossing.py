@@ -9,17 +9,19 @@ import pytest
 import torch
 from torch import Tensor
 
+from ptt.materials.shapes import GGX, Analytic, Ward
 from ptt.ops import gloss as plain
 from ptt.ops import native
-from ptt.ops.constants import BITS, LEVELS, RINGS, SECTORS, TILTS
+from ptt.ops.constants import LEVELS, RINGS, SECTORS, TILTS
 from ptt.ops.gloss import Gloss, GlossLight, Lobes
+from ptt.ops.native.glossing import WORDS
 from ptt.ops.view import SurfaceBlocks
 
 
 class Inputs(NamedTuple):
     points: SurfaceBlocks
     eye: Tensor
-    bits: Tensor
+    seen: Tensor
     gloss: Gloss
     light: GlossLight
 
@@ -29,7 +31,6 @@ def inputs(
     lamps: int = 3,
     n: int = 96,
     distant: bool = False,
-    cells: int = 8,
     side: int = 12,
     turns: int = 1,
     levels: tuple[float, float] = (-1.0, LEVELS),
@@ -37,8 +38,8 @@ def inputs(
     """Tables and maps of noise, f smooth enough for float32."""
     g = torch.Generator().manual_seed(1000 * lobes + 100 * lamps + n)
     frame = rotations(n, g).permute(1, 2, 0).contiguous()
-    cuts = words(n, cells * cells, g)
-    points = SurfaceBlocks(torch.randn(3, n, generator=g), frame, None, cuts, torch.randperm(n, generator=g)[: n - 5])
+    place = torch.randperm(n, generator=g)[: n - 5]
+    points = SurfaceBlocks(torch.randn(3, n, generator=g), frame, None, torch.empty(0), place)
     axes = torch.randn(1, lobes, 3, generator=g) + 0.2 * torch.randn(turns * TILTS, lobes, 3, generator=g)
     level = torch.empty(turns * TILTS, lobes, 1).uniform_(*levels, generator=g).clamp(0, LEVELS - 1)
     table = torch.cat((axes, level, torch.rand(turns * TILTS, lobes, 3, generator=g)), 2)
@@ -48,7 +49,7 @@ def inputs(
     maps[..., 3] = 0
     light = GlossLight(maps, rotations(1, g)[0].contiguous(), directions(lamps, g), torch.rand(lamps, 3, generator=g))
     eye = directions(n, g).T.contiguous() if distant else torch.ones(3)
-    return Inputs(points, eye, words(n, BITS * BITS // 32, g), Gloss(Lobes(table, turns), values), light)
+    return Inputs(points, eye, words(n, WORDS, g), Gloss(Lobes(table, turns), values), light)
 
 
 def words(n: int, count: int, g: torch.Generator) -> Tensor:
@@ -67,7 +68,7 @@ def rotations(n: int, g: torch.Generator) -> Tensor:
 def in_double(x: Inputs) -> Inputs:
     points = x.points._replace(position=x.points.position.double(), frame=x.points.frame.double())
     gloss = Gloss(Lobes(x.gloss.lobes.table.double(), x.gloss.lobes.turns), x.gloss.values.double())
-    return Inputs(points, x.eye.double(), x.bits, gloss, GlossLight(*(t.double() for t in x.light)))
+    return Inputs(points, x.eye.double(), x.seen, gloss, GlossLight(*(t.double() for t in x.light)))
 
 
 @pytest.fixture
@@ -102,9 +103,9 @@ def test_agrees_for_all_lobes(built: None, calls: list[int], lobes: int, lamps: 
     agree(inputs(lobes, lamps, distant=distant), calls)
 
 
-@pytest.mark.parametrize(("n", "cells", "side"), [(16, 4, 4), (112, 24, 130)])
-def test_agrees_for_all_sizes(built: None, calls: list[int], n: int, cells: int, side: int) -> None:
-    agree(inputs(n=n, cells=cells, side=side), calls)
+@pytest.mark.parametrize(("n", "side"), [(16, 4), (112, 130)])
+def test_agrees_for_all_sizes(built: None, calls: list[int], n: int, side: int) -> None:
+    agree(inputs(n=n, side=side), calls)
 
 
 @pytest.mark.parametrize("levels", [(0.0, 1.0), (1.0, 3.0), (3.0, 5.0), (5.0, 7.0), (7.0, 9.0)])
@@ -129,8 +130,7 @@ def test_agrees_head_on_and_facing_away(built: None, calls: list[int]) -> None:
 
 def test_what_is_hidden_is_dark(built: None) -> None:
     x = inputs()
-    hidden = x._replace(points=x.points._replace(cuts=torch.zeros_like(x.points.cuts)), bits=torch.zeros_like(x.bits))
-    assert native.shine(*hidden).count_nonzero() == 0
+    assert native.shine(*x._replace(seen=torch.zeros_like(x.seen))).count_nonzero() == 0
 
 
 def test_a_point_at_the_eye_is_as_head_on(built: None, calls: list[int]) -> None:
@@ -165,3 +165,31 @@ def test_gradients_pass() -> None:
     table = x.gloss.lobes.table.clone().requires_grad_()
     native.shine(*x._replace(gloss=x.gloss._replace(lobes=Lobes(table, 1)))).sum().backward()
     assert table.grad is not None and table.grad.isfinite().all()
+
+
+@pytest.mark.parametrize("lamps", [0, 1, 9])
+def test_irradiance_agrees(built: None, lamps: int) -> None:
+    x = inputs(lamps=lamps)
+    given = x.points, x.seen, x.light.lamps, x.light.powers
+    with native.refusals() as found:
+        got = native.irradiance(*given)
+    assert not found
+    torch.testing.assert_close(got, plain.irradiance(*given), rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [GGX(1.0, 0.03), GGX(1.0, 0.5), Ward(0.1, 0.3)], ids=str)
+@pytest.mark.parametrize("n", [1, 16, 40])
+def test_cells_agree(built: None, shape: Analytic, n: int) -> None:
+    """To rounding: cells are of whole numbers, and so the same."""
+    samples = plain.sampled(lambda wi, wo: shape.evaluate(wi, wo)[..., None].expand(*wi.shape[:-1], 3), shape.isotropic)
+    given = plain.nodes(1).mirrored, samples.reflected, n
+    with native.refusals() as found:
+        got = native.cell_sums(*given)
+    assert not found
+    expected = plain.cell_sums(*given)
+    torch.testing.assert_close(got, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_a_material_that_reflects_nothing_has_cells_without_light(built: None) -> None:
+    mirrored = plain.nodes(1).mirrored
+    assert native.cell_sums(mirrored, torch.zeros(TILTS, mirrored.shape[2], 3), 4).count_nonzero() == 0

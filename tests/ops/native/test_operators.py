@@ -21,6 +21,7 @@ from ptt.ops.geodesic import Geodesic
 from ptt.ops.gloss import Gloss, GlossLight, Lobes
 from ptt.ops.haar import Truncated
 from ptt.ops.native import building, kernels, operators
+from ptt.ops.native.glossing import WORDS
 from ptt.ops.near import Near
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
 from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
@@ -102,13 +103,15 @@ def view() -> None:
 
 def shine() -> None:
     n = 32
-    words = torch.randint(0, 2**31, (n, 128), generator=generator()).int()
+    seen = torch.randint(0, 2**31, (n, WORDS), generator=generator()).int()
     frame = torch.eye(3)[:, :, None].repeat(1, 1, n)
-    surface = SurfaceBlocks(uniform(3, n), frame, None, words[:, :64].contiguous(), torch.arange(n - 3))
+    surface = SurfaceBlocks(uniform(3, n), frame, None, torch.empty(0), torch.arange(n - 3))
     gloss = Gloss(Lobes(uniform(TILTS, 3, 7), 1), uniform(TILTS, RINGS, SECTORS, 3))
     for lamps in (0, 2):
         light = GlossLight(uniform(3, 36, 4), torch.eye(3), uniform(lamps, 3), uniform(lamps, 3))
-        native.shine(surface, torch.tensor([0.2, 0.4, 5.0]), words, gloss, light)
+        native.shine(surface, torch.tensor([0.2, 0.4, 5.0]), seen, gloss, light)
+    native.irradiance(surface, seen, light.lamps, light.powers)
+    native.cell_sums(uniform(3, 3, 40), uniform(6, 40, 3), 4)
 
 
 def resampling() -> rotation.Resampling:
