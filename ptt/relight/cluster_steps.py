@@ -129,7 +129,11 @@ class RegionPoints(nn.Module):
 
 @in_python
 class ClusterSteps(nn.Module):
-    """Light, BRDF and view step of a model with clusters."""
+    """Light, BRDF and view step of a model with clusters.
+
+    narrow: says whether narrow lobes reflect direct light; by_tensor: whether the BRDF tensor reflects anything then,
+        which is light that bounced
+    """
 
     to_factors: Tensor
     to_harmonics: Tensor
@@ -143,6 +147,7 @@ class ClusterSteps(nn.Module):
         self.model = model
         self.basis = model.basis
         self.narrow = model.highlights == "lobes"
+        self.by_tensor = not self.narrow or any(region.slots or region.pairs for region in model.clustered)
         self.count = lobes
         self.light = LightStep(model.grid, WIDTHS if self.narrow else model.brdf.angles, compiled, self.narrow)
         rows, keep = slots.chosen(model.slots, model.basis.table.shape[1])
@@ -196,7 +201,7 @@ class ClusterSteps(nn.Module):
         light_eigen = self._operations.light_eigen
         e = region.eigenvectors
         direct = light_eigen(region.direct, fine, region.columns).unflatten(2, (e, -1))
-        if self.narrow:  # the other factors are of light that bounced alone
+        if self.narrow and self.by_tensor:  # the other factors are of light that bounced alone
             direct = pad(direct, (0, self.to_factors.shape[1] - 1))
         reduced = light_eigen(region.lighting, coarse)  # shape: (k, c, n)
         one = light_eigen(region.one, reduced).unflatten(2, (len(region.slots), e, ORDER**2))
@@ -243,8 +248,10 @@ class ClusterSteps(nn.Module):
         brdf = self.model.brdf
         highlights = brdf.space.highlights(material)
         coloured = brdf.space.mixed(highlights)
-        lobes = [self._lobes(*highlight) for highlight in highlights] if brdf.angles else []
+        lobes = [self._lobes(*highlight) for highlight in highlights] if brdf.angles and self.by_tensor else []
         coupling = brdf.coupling(material, coloured)
+        if not self.by_tensor:
+            coupling = coupling[:, :1, :1]
         gloss = self._gloss(material) if self.narrow else None
         return LayerTables(coupling, [one for one in lobes if one is not None], gloss, share), coloured
 
@@ -284,7 +291,8 @@ class ClusterSteps(nn.Module):
             lamps = self._diffuse(r, light, material.colour)
             layers.append([layer for tables in material.layers for layer in self._layers(tables, light, lamps, sent)])
         surfaces = [self._surface(r, material.colour) for r, material in enumerate(materials)]
-        return ClusterExitant(surfaces, layers, self.model.brdf.u_o.flatten(1).T.contiguous())
+        outgoing = self.model.brdf.u_o.flatten(1).T
+        return ClusterExitant(surfaces, layers, (outgoing if self.by_tensor else outgoing[:, :0]).contiguous())
 
     def _diffuse(self, region: int, light: ClusterLight, colour: Tensor | None) -> Tensor | None:
         """What arrives of lamps at a region's points (v, c), times their colours (c, n)."""
