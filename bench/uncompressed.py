@@ -76,7 +76,9 @@ class Uncompressed:
         axes = lobes.lean(self.brdf.axes, wo)
         each = torch.arange(len(self.brdf.angles))
         world = axes @ self.raw.receivers.frames[rows]
-        seen = light_about(light_maps.light_maps(light.map, self.brdf.angles).whole.blurred, world @ light.rotation.float())
+        seen = light_about(
+            light_maps.light_maps(light.map, self.brdf.angles).whole.blurred, world @ light.rotation.float()
+        )
         through = self.cuts[rows[:, None], HemiOctahedral(bounces.CUTS).cell(axes), each].float() / 255
         return seen * through[..., None]
 

@@ -27,6 +27,7 @@ from ptt.ops.tucker import Tucker, multiply
 WIDTH = 128  # points in a block
 FACING = 16  # cells along an edge of the map of normals by which points are ordered
 SPAN = 1e-6  # of the largest singular value: a smaller one adds no direction to a joint factor of the points
+PARTS = ("cluster", "place", "weights", "columns", "direct", "lighting", "one", "two", "cuts", "seen", "meets")
 STORAGE = {"float32": torch.float32, "float16": torch.float16, "bfloat16": torch.bfloat16}
 
 
@@ -56,7 +57,8 @@ class ClusteredTransfer(nn.Module):
     lighting (k, l', n): the cluster's own lighting axis, from coefficients of the coarse one
     one (k, n, q * e * s): T1 on it; two (k, l'', pairs * e): T2 on the coarsest lighting
     cuts (b * WIDTH, cells) int32: fractional visibility of the lobes, a byte each; cells = 0 where there are none
-    seen (b * WIDTH, words) int32: what is seen of the hemisphere (`ops.gloss`); words = 0 without narrow lobes
+    seen (b * WIDTH, words), meets (b * WIDTH, cells) int32: what is seen of the hemisphere, and which points of the model
+        (`ops.gloss`); nothing without narrow lobes, which also leave of s the constant alone
     """
 
     cluster: Tensor
@@ -69,12 +71,13 @@ class ClusteredTransfer(nn.Module):
     two: Tensor
     cuts: Tensor
     seen: Tensor
+    meets: Tensor
 
     def __init__(self, slots: Sequence[int], pairs: Sequence[Sequence[int]], **parts: Tensor) -> None:
         super().__init__()
         self.slots = list(slots)
         self.pairs = [list(pair) for pair in pairs]
-        for name in ("cluster", "place", "weights", "columns", "direct", "lighting", "one", "two", "cuts", "seen"):
+        for name in PARTS:
             self.register_buffer(name, in_large_pages(parts[name]))
 
     @property
@@ -86,6 +89,12 @@ class ClusteredTransfer(nn.Module):
     def eigenvectors(self) -> int:
         """The number of each cluster's eigenvectors."""
         return self.weights.shape[1]
+
+    @property
+    def harmonics(self) -> int:
+        """The number s of harmonics in which light that bounced arrives."""
+        terms = len(self.slots) * self.eigenvectors
+        return self.one.shape[2] // terms if terms else ORDER**2
 
     @property
     def clusters(self) -> int:
@@ -124,7 +133,7 @@ class ClusteredTransfer(nn.Module):
         weights = self.weights.new_zeros(len(self.cluster) * WIDTH, e)
         lighting = self.lighting.new_zeros(count, self.lighting.shape[1], n)
         t0 = self.direct.new_zeros(count, m, e, taken[0][0].core.shape[2])
-        t1 = self.one.new_zeros(count, n, len(self.slots), e, ORDER**2)
+        t1 = self.one.new_zeros(count, n, len(self.slots), e, self.harmonics)
         t2 = self.two.new_zeros(count, self.two.shape[1], len(self.pairs), e)
         for k, (direct, one, two) in enumerate(taken):
             rank = direct.core.shape[0]
@@ -150,7 +159,7 @@ class ClusteredTransfer(nn.Module):
         e = self.eigenvectors
         points = self.weights.transpose(1, 2).flatten(0, 1)[self.place[self.rows(k)]]  # shape: (v, e)
         direct = self.direct[k].to(points).unflatten(1, (e, -1)).transpose(0, 1)
-        one = self.one[k].to(points).unflatten(1, (len(self.slots), e, ORDER**2)).permute(2, 0, 1, 3)
+        one = self.one[k].to(points).unflatten(1, (len(self.slots), e, self.harmonics)).permute(2, 0, 1, 3)
         two = self.two[k].to(points).unflatten(1, (len(self.pairs), e)).permute(2, 0, 1)
         return [
             Tucker(core, (*compressed, *_eyes(core)[len(compressed) :]))
@@ -190,6 +199,8 @@ class ClusteredTransfer(nn.Module):
             "lighting": [n, coarse, self.two.shape[1]],
             "cuts": self.cuts.shape[1],
             "seen": self.seen.shape[1],
+            "meets": self.meets.shape[1],
+            "harmonics": self.harmonics,
             "slots": self.slots,
             "pairs": self.pairs,
             "storage": str(self.direct.dtype).removeprefix("torch."),
@@ -213,25 +224,29 @@ class ClusteredTransfer(nn.Module):
             "columns": (torch.int64, (k, m)),
             "direct": (stored, (k, m, e * factors)),
             "lighting": (torch.float32, (k, coarse, n)),
-            "one": (stored, (k, n, q * e * ORDER**2)),
+            "one": (stored, (k, n, q * e * config["harmonics"])),
             "two": (stored, (k, coarsest, pairs * e)),
             "cuts": (torch.int32, (b * WIDTH, config["cuts"])),
             "seen": (torch.int32, (b * WIDTH, config["seen"])),
+            "meets": (torch.int32, (b * WIDTH, config["meets"])),
         }
 
     @classmethod
     def restore(
-        cls, config: Mapping[str, Any], tensors: Mapping[str, Tensor], cells: int, slots: int
+        cls, config: Mapping[str, Any], tensors: Mapping[str, Tensor], cells: int, slots: int, points: int
     ) -> ClusteredTransfer:
-        """The inverse of `config` and of the buffers, for a lighting of so many cells and so many slots."""
+        """The inverse of `config` and of the buffers, for a lighting of so many cells, so many slots, and a model of so
+        many points."""
         limits = {
             "cluster": config["clusters"],
             "place": len(tensors["cluster"]) * WIDTH,
             "columns": cells,
             "slots": slots,
             "pairs": slots,
+            "meets": points + 1,
         }
         numbers = {name: torch.tensor(config[name]) for name in ("slots", "pairs")}
+        numbers["meets"] = tensors["meets"] + 1  # -1 is for none
         for name, limit in limits.items():
             index = {**tensors, **numbers}[name]
             if index.numel() and not 0 <= int(index.min()) <= int(index.max()) < limit:

@@ -233,9 +233,9 @@ class TransferModel(nn.Module):
             error = config["truncation_error"]
             if config["clustered"]:
                 basis = BRDFBasis(space, **_under("basis.", tensors))
-                slots = len(slots_of(receivers, config["functions"]))
+                limits = Cube(resolution).cells, len(slots_of(receivers, config["functions"])), len(receivers)
                 regions = [
-                    ClusteredTransfer.restore(part, _under(f"regions.{r}.", tensors), Cube(resolution).cells, slots)
+                    ClusteredTransfer.restore(part, _under(f"regions.{r}.", tensors), *limits)
                     for r, part in enumerate(config["clustered"])
                 ]
                 return cls(receivers, brdf, basis, resolution, bounces, None, regions, error, config["highlights"])

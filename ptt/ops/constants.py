@@ -41,6 +41,15 @@ WIDE_SIDE = 16
 WIDEST_SIDE = 8
 """The same for lobes of 28 degrees."""
 
+MEETS = 24
+"""Cells along the edge of the map of which points a point sees."""
+
+RECORD = 16
+"""Numbers of a point as others see it: they fill a cache line, of which 11 are used."""
+
+SENT = 8
+"""Numbers that say what a point sends to others, and those of a row of a table of lobes that reflect as one."""
+
 TILE = 4
 """Cells along the edge of a tile of fractional visibility: 16 words of 4 bytes fill a cache line of 64."""
 

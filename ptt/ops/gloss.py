@@ -1,45 +1,32 @@
-"""Glossy reflection of direct light by narrow lobes, each with a light and a visibility of its own, and lamps apart.
+"""Glossy reflection by narrow lobes, each with a light and a visibility of its own, and lamps apart.
 
-    B[v, c] = sum over n of  w_n[c](wo) E[c](a_n, s_n) V_v(a_n, s_n)
+    B[v, c] = sum over n of  w_n[c](wo) (V_v(a_n, s_n) E[c](a_n, s_n) + (1 - V_v(a_n, s_n)) B[y_n, c])
             + sum over m of  f[c](d_m, wo) cos(d_m) V_v(d_m) P_m[c]
 
-The lobes of a material are cells of f cos, by Lloyd's algorithm: w_n is what a cell reflects, so that the sum of w_n is
-the albedo and constant light is exact; a_n is its mean direction, and s_n its width. E is the light blurred to a width
+w_n, a_n and s_n are the weights, axes and widths of a material's lobes (`ops.cells`). E is the light blurred to a width
 (`levels`), V_v the share of it that point v sees. What is small and bright in the light, lamps of power P_m, is
 reflected by f itself.
 
-Tables are for cosines of wo to the normal, and azimuths of wo where f is anisotropic, and in the frame of the mirror
-image of wo: along, which leans to the normal, across, and the mirror direction. There a lobe changes little from one
-cosine to the next, so that the rows between are mixed.
+y_n is the point that v sees along a_n (`Around`), which sends to v what is diffuse, D, and what its material reflects
+as one lobe w, a, s, of the light, and of the mean S of what it sees itself:
+
+    B[y, c] = D[y, c] + w[c] (V_y(a, s) E[c](a, s) + (1 - V_y(a, s)) S[y, c])
 
 Sun et al. 2007, section 4.1, has up to four lobes about common axes, of at most 21 degrees, and a tensor for the rest.
-Narrow lobes follow Krivanek and Colbert, Real-time shading with filtered importance sampling, 2008.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import cache
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import normalize
 
-from ptt.ops.constants import BITS, HEAD_ON, LEVELS, RINGS, SECTORS, SHARPEST, TILTS, TINY, WIDE_SIDE, WIDEST_SIDE
+from ptt.ops.cells import Gloss, frames, octaves
+from ptt.ops.constants import BITS, MEETS, SECTORS, SHARPEST, TILTS, TINY, WIDE_SIDE, WIDEST_SIDE
 from ptt.ops.octahedral import corners, hemi_octahedral, mix, octahedral
-from ptt.ops.transforms import beneath, outside
 from ptt.ops.view import BYTE, SurfaceBlocks, local_directions
-
-NARROWEST = 3.5  # degrees that the lobe of level 1 covers (three standard deviations); that of level 0 is a cell
-TURNS = 24  # azimuths of wo of an anisotropic f
-SPREAD = 1.1  # in a trial on ten shapes under three maps, the standard deviation of a lobe over that of its cell
-ROUNDS = 4  # of Lloyd's algorithm from one cosine to the next
-STEPS = 2047  # of a unit length, for cells; MASS_STEPS: of the largest mass
-MASS_STEPS = 2**20
-FIRST = 24  # rounds at the first
-COSINE = 1e-3  # f below the horizon is as at this cosine, so that it may be interpolated up to the horizon
 
 SHARES = {10.0: WIDE_SIDE, 20.0: WIDEST_SIDE}
 """Degrees that the lobes cover of which `seen` has visible shares, and cells along the edges of the maps of their axes.
@@ -48,216 +35,41 @@ Bilinear lookups in maps so coarse make them 14 and 28: in a trial on 160 points
 under two maps without lamps, shares of 14 and 28 degrees left 4.9 and 4.7 % of error, of 10 and 20 4.5 and 4.6, and maps
 of 24 x 24 cells for 7, 14 and 28 degrees, of three times the size, 4.3 and 4.1.
 """
+
 AT_ONCE = 4096  # points that are worked out together, so that they stay in the cache
 
-SHARP = 2.5  # degrees, the radius of a lamp (`ptt.light.lamps.INNER`)
 
-Reflects = Callable[[Tensor, Tensor], Tensor]
-"""f(wi, wo) (..., c) [1/sr] of local unit directions (..., 3)."""
+class GlossLight(NamedTuple):
+    """A light for lobes.
 
-
-class Lobes(NamedTuple):
-    """The lobes of a material: table (turns * tilts, n, 4 + c): along, across, mirror; level; w_n of each channel."""
-
-    table: Tensor
-    turns: int
-
-
-def width(level: float) -> float:
-    """Degrees that the lobe of a level covers, three standard deviations."""
-    return NARROWEST * 2 ** ((level - 1) / 2)
-
-
-@cache
-def rings() -> Tensor:
-    """Edges (RINGS + 1,), float64, of the rings about the normal, in squared tangents of the half vector's tilt."""
-    edges = octaves_back(SHARPEST + torch.arange(1, RINGS, dtype=torch.float64) / 4)
-    return torch.cat((edges.new_zeros(1), edges, edges.new_tensor([math.inf])))
-
-
-def octaves(x: Tensor) -> Tensor:
-    """A logarithm to base two that is linear between powers of two: of 2^e (1 + m), e + m."""
-    mantissa, exponent = torch.frexp(x)
-    return exponent.to(x) + 2 * mantissa - 2
-
-
-def octaves_back(y: Tensor) -> Tensor:
-    """The inverse of `octaves`."""
-    whole = y.floor()
-    return torch.ldexp(1 + y - whole, whole.int())
-
-
-@cache
-def half_vectors() -> tuple[Tensor, Tensor]:
-    """Half vectors (rings * 2 * sectors, 3) about the normal, x towards wo, and their solid angles, float64.
-
-    The second half of a ring's sectors is the mirror image of the first.
-    """
-    edges = rings()
-    square = octaves_back(SHARPEST + 0.125 + torch.arange(RINGS, dtype=torch.float64) / 4)
-    phi = (torch.arange(SECTORS, dtype=torch.float64) + 0.5) * (math.pi / SECTORS)
-    cosine = (1 + square).rsqrt()[:, None]
-    sine = square.sqrt()[:, None] * cosine
-    half = torch.stack((sine * phi.cos(), sine * phi.sin(), cosine.expand(-1, SECTORS)), -1)
-    whole = torch.cat((half, half * half.new_tensor([1, -1, 1])), 1)
-    heights = (1 + edges).rsqrt()
-    share = (heights[:-1] - heights[1:]) * (math.pi / SECTORS)
-    return whole.flatten(0, 1), share[:, None].expand(-1, 2 * SECTORS).flatten()
-
-
-class Nodes(NamedTuple):
-    """Directions of light about each wo of a table, mirror images of wo about `half_vectors`, which follow f as it
-    becomes long and thin at the horizon: m of them, of which the second half of each ring mirrors the first.
-
-    mirrored (tilts, 3, m): in the frame of the mirror direction
-    wi (turns * tilts, m, 3): local, above the horizon, so that f may be interpolated up to it; of isotropic f m / 2
-    wo (turns * tilts, 1, 3)
-    measure (turns * tilts, m): cosine times solid angle; m / 2 as wi
+    maps (LEVELS, cells, 4): blurred to each width, on `bordered` octahedral maps; turn (3, 3): world = turn @ map
+    lamps (m, 3), powers (m, c): of lamps, which the maps are without, in the world
     """
 
-    mirrored: Tensor
-    wi: Tensor
-    wo: Tensor
-    measure: Tensor
+    maps: Tensor
+    turn: Tensor
+    lamps: Tensor
+    powers: Tensor
 
 
-@cache
-def nodes(turns: int) -> Nodes:
-    """The nodes of tables for so many azimuths of wo, float32; 1 for isotropic f."""
-    h, share = half_vectors()
-    steep = outgoing(1)
-    along = steep @ h.T  # shape: (t, m)
-    mirrored = (2 * along[..., None] * h - steep[:, None]) @ frames(steep).transpose(1, 2)
-    solid = (4 * along * share).clamp(min=0)
-    wo = outgoing(turns)
-    placed, kept = mirrored, solid
-    if turns == 1:
-        placed, kept = (_half(x) for x in (mirrored, solid))
-    wi = placed.repeat(turns, 1, 1) @ frames(wo)
-    measure = wi[..., 2].clamp(min=0) * kept.repeat(turns, 1)
-    raised = normalize(torch.cat((wi[..., :2], wi[..., 2:].clamp(min=COSINE)), -1), dim=-1)
-    made = mirrored.transpose(1, 2), raised, wo[:, None], measure
-    return Nodes(*(x.float().contiguous() for x in made))
+class Around(NamedTuple):
+    """What n points may see of each other, p points in all.
 
-
-def _half(whole: Tensor) -> Tensor:
-    """Of values (t, m, ...), those of the first half of the sectors."""
-    return whole.unflatten(1, (RINGS, 2, SECTORS))[:, :, 0].flatten(1, 2)
-
-
-def outgoing(turns: int) -> Tensor:
-    """Directions wo (turns * TILTS, 3), float64, of the rows of a table."""
-    z = (torch.arange(TILTS, dtype=torch.float64) + 0.5) / (TILTS - 0.5)  # from near the horizon to the normal itself
-    phi = torch.arange(turns, dtype=torch.float64) * (2 * math.pi / turns)
-    s = (1 - z * z).sqrt()
-    return torch.stack((phi.cos()[:, None] * s, phi.sin()[:, None] * s, z.expand(turns, -1)), -1).flatten(0, 1)
-
-
-def frames(wo: Tensor) -> Tensor:
-    """Rows along, across and mirror (..., 3, 3), local, of directions wo (..., 3); one below the horizon has those of
-    its mirror image above."""
-    x, y, z = wo[..., 0], wo[..., 1], wo[..., 2].abs()
-    s = (x * x + y * y).sqrt()
-    steep = s < HEAD_ON
-    u = torch.where(steep, 1.0, x / s.clamp(min=HEAD_ON))
-    v = torch.where(steep, 0.0, y / s.clamp(min=HEAD_ON))
-    zero = torch.zeros_like(z)
-    rows = (torch.stack(row, -1) for row in ((z * u, z * v, s), (-v, u, zero), (-x, -y, z)))
-    return torch.stack(tuple(rows), -2)
-
-
-class Samples(NamedTuple):
-    """A material on the nodes about each wo of its tables: f, and f cos times solid angle (turns * tilts, m, c).
-
-    values: of isotropic f on the first half of the sectors
+    meets (n, MEETS * MEETS) int32: which point each sees about the axes of a `HemiOctahedral` map; -1 for none
+    points (p, RECORD): of all: rows of the frame, and, as whole numbers, their rows of `seen` and the first of their
+        region's in `tables`; zeros
+    sent (p, SENT): of all: D, S; zeros
+    seen (s, words) int32: of all, as for `shine`
+    tables (regions * TILTS, SENT): a, s and w of the lobes that materials reflect as one; zero
+    maps (LEVELS, cells, 4): as those of `GlossLight`, with the lamps
     """
 
-    values: Tensor
-    reflected: Tensor
-    turns: int
-
-
-def sampled(reflects: Reflects, isotropic: bool) -> Samples:
-    """A material on the nodes about each wo of its tables."""
-    turns = 1 if isotropic else TURNS
-    _, wi, wo, measure = outside(nodes, turns)
-    values = reflects(wi, wo.expand_as(wi))
-    reflected = values * measure[..., None]
-    return Samples(values, _both_halves(reflected) if isotropic else reflected, turns)
-
-
-def _both_halves(half: Tensor) -> Tensor:
-    """Values (t, m, c) of a function that is its own mirror image, from those of half of the sectors."""
-    whole: Tensor = half.unflatten(1, (RINGS, 1, SECTORS)).expand(-1, -1, 2, -1, -1)
-    return whole.flatten(1, 3)
-
-
-CellSums = Callable[[Tensor, Tensor, int], Tensor]
-
-
-def lobes_of(samples: Samples, n: int, sums: CellSums) -> Lobes:
-    """n lobes of a material; differentiable in its samples; sums: `cell_sums`, or its kernel."""
-    found = sums(outside(nodes, 1).mirrored, samples.reflected, n)
-    moments, reflected = found.split((3, found.shape[2] - 3), 2)
-    length = torch.linalg.vector_norm(moments, dim=2, keepdim=True)
-    total = reflected.sum(2, keepdim=True)
-    up = moments.new_tensor([0.0, 0.0, 1.0])
-    axes = torch.where(length > TINY, moments / length.clamp(min=TINY), up)
-    spread = (1 - length / total.clamp(min=TINY)).clamp(1e-9, 1 - 1e-3)
-    degrees = torch.rad2deg(3 * SPREAD * (-torch.log1p(-spread)).sqrt())
-    level = (1 + 2 * torch.log2(degrees / NARROWEST)).clamp(0, LEVELS - 1)
-    return Lobes(torch.cat((axes, level, reflected), 2), samples.turns)
-
-
-def cell_sums(mirrored: Tensor, reflected: Tensor, n: int) -> Tensor:
-    """What each of n cells of a material reflects, by rows of its tables (turns * tilts, n, 3 + c): first moments of
-    the directions mirrored (tilts, 3, m), and sums, of what is reflected from them (turns * tilts, m, c).
-
-    The cells are those of Lloyd's algorithm, from the steepest view to the flattest, each beginning with the centres of
-    the one before, so that a cell stays the same cell.
-    """
-    whole, masses = whole_numbers(mirrored, reflected)
-    cells = torch.cat([_cells(whole, mass, first_centres(whole, mass, n)) for mass in masses.split(len(whole))])
-    directions = mirrored.transpose(1, 2).repeat(len(reflected) // len(mirrored), 1, 1)
-    values = torch.cat((directions * reflected.sum(2, keepdim=True), reflected), 2)
-    inside = torch.nn.functional.one_hot(cells, n).to(values)
-    return inside.transpose(1, 2) @ values
-
-
-def whole_numbers(mirrored: Tensor, reflected: Tensor) -> tuple[Tensor, Tensor]:
-    """Directions (tilts, 3, m), and masses (rows, m) of what is reflected, as whole numbers, of which float32 holds
-    products of directions and float64 all sums: in whatever order they are summed, cells are the same."""
-    mass = beneath(reflected).detach().sum(2)
-    share = mass / mass.amax(1, keepdim=True).clamp(min=TINY)
-    return (mirrored * STEPS).round(), (share * MASS_STEPS).round()
-
-
-def _cells(directions: Tensor, mass: Tensor, centres: Tensor) -> Tensor:
-    """The cell 0..n-1 (t, m) of each node (t, 3, m), for masses (t, m), from centres (n, 3) to begin with."""
-    found = []
-    each = torch.arange(len(centres), device=centres.device)[:, None]
-    rows = zip(directions.flip(0), mass.flip(0), [FIRST] + [ROUNDS] * (len(mass) - 1), strict=True)
-    for towards, row, rounds in rows:
-        weighed = (towards.double() * row).T
-        for _ in range(rounds):
-            inside = (centres @ towards).argmax(0) == each
-            sums = inside.to(weighed) @ weighed
-            length = torch.linalg.vector_norm(sums, dim=1, keepdim=True)
-            centres = torch.where(length > 0, (sums * (STEPS / length)).round().to(centres), centres)
-        found.append((centres @ towards).argmax(0))
-    return torch.stack(found).flip(0)
-
-
-def first_centres(directions: Tensor, mass: Tensor, n: int) -> Tensor:
-    """n nodes (n, 3) to begin with: each the one of the steepest view that the others leave the largest error at."""
-    last = directions[-1].T
-    units = last / STEPS
-    near = 2 - 2 * units @ normalize(mass[-1] @ units, dim=0)
-    chosen = []
-    for _ in range(n):
-        chosen.append(int((near * mass[-1]).argmax()))
-        near = torch.minimum(near, 2 - 2 * units @ units[chosen[-1]])
-    return last[chosen]
+    meets: Tensor
+    points: Tensor
+    sent: Tensor
+    seen: Tensor
+    tables: Tensor
+    maps: Tensor
 
 
 def rows_of(wo: Tensor, turns: int) -> tuple[Tensor, Tensor]:
@@ -277,71 +89,35 @@ def rows_of(wo: Tensor, turns: int) -> tuple[Tensor, Tensor]:
     return torch.cat((row + index, after + index), -1), torch.cat((weights * (1 - b), weights * b), -1)
 
 
-class Gloss(NamedTuple):
-    """What a material reflects glossily.
-
-    lobes: of all light but lamps
-    values (turns * tilts, rings, sectors, c): the root of f for lamps
-    sharp: says whether half of what it reflects lies so close to the mirror direction that lamps are seen as areas
-    """
-
-    lobes: Lobes
-    values: Tensor
-    sharp: bool = False
-
-
-class GlossLight(NamedTuple):
-    """A light for lobes.
-
-    maps (LEVELS, cells, 4): blurred to each width, on `bordered` octahedral maps; turn (3, 3): world = turn @ map
-    lamps (m, 3), powers (m, c): of lamps, which the maps are without, in the world
-    """
-
-    maps: Tensor
-    turn: Tensor
-    lamps: Tensor
-    powers: Tensor
-
-
-def gloss_of(reflects: Reflects, isotropic: bool, n: int, sums: CellSums = cell_sums) -> Gloss:
-    """The tables of a material, with n lobes; differentiable in f. sums: `cell_sums`, or its kernel."""
-    samples = sampled(reflects, isotropic)
-    sectors = SECTORS if isotropic else 2 * SECTORS
-    values = samples.values.unflatten(1, (RINGS, sectors))
-    return Gloss(lobes_of(samples, n, sums), (values + TINY).sqrt(), _is_sharp(samples))
-
-
-def _is_sharp(samples: Samples) -> bool:
-    """Tell whether, seen straight on, half of what is reflected lies within `SHARP` degrees of the mirror direction."""
-    mass = beneath(samples.reflected).detach()[TILTS - 1].sum(1)
-    near = outside(nodes, 1).mirrored[TILTS - 1, 2] > math.cos(math.radians(SHARP))
-    return bool(mass[near].sum() > mass.sum() / 2)
-
-
-def shine(points: SurfaceBlocks, eye: Tensor, seen: Tensor, gloss: Gloss, light: GlossLight) -> Tensor:
-    """What points send of direct light to the eye (v, c), for an eye (3,) or unit directions (3, n) to it.
+def shine(
+    points: SurfaceBlocks, eye: Tensor, seen: Tensor, gloss: Gloss, light: GlossLight, around: Around | None = None
+) -> Tensor:
+    """What points reflect glossily to the eye (v, c), for an eye (3,) or unit directions (3, n) to it.
 
     seen (n, words) int32: what is seen of the hemisphere, a bit for each cell of a `HemiOctahedral` map, and then a byte
         for each cell of those of `SHARES`: the visible share of a lobe about it
+    around: what sends light where the sky is hidden; None for direct light alone
     """
     wo = local_directions(points, eye).T
     frame = points.frame.movedim(2, 0)  # shape: (n, 3, 3)
-    split = (each.split(AT_ONCE) for each in (frame, seen, wo))
-    parts = [_shine(gloss, light, *some) for some in zip(*split, strict=True)]
+    parts = []
+    for first in range(0, len(wo), AT_ONCE):
+        some = slice(first, first + AT_ONCE)
+        near = None if around is None else around._replace(meets=around.meets[some])
+        parts.append(_shine(gloss, light, frame[some], seen[some], wo[some], near))
     return torch.cat(parts).index_select(0, points.place)
 
 
-def irradiance(points: SurfaceBlocks, seen: Tensor, lamps: Tensor, powers: Tensor) -> Tensor:
-    """What arrives of lamps at points (v, c): powers times cosines times visibility; lamps, powers: as `GlossLight`."""
-    frame = points.frame.movedim(2, 0)
-    parts = [
-        _lit(*some, lamps)[1] @ powers.to(frame)
-        for some in zip(frame.split(AT_ONCE), seen.split(AT_ONCE), strict=True)
-    ]
-    return torch.cat(parts).index_select(0, points.place)
+def irradiance(frame: Tensor, seen: Tensor, lamps: Tensor, powers: Tensor) -> Tensor:
+    """What arrives of lamps at points in blocks (n, c): powers times cosines times visibility.
+
+    frame (3, 3, n), seen (n, words): of the points; lamps, powers: as `GlossLight`
+    """
+    parts = zip(frame.movedim(2, 0).split(AT_ONCE), seen.split(AT_ONCE), strict=True)
+    return torch.cat([_lit(*some, lamps)[1] @ powers.to(frame) for some in parts])
 
 
-def _shine(gloss: Gloss, light: GlossLight, frame: Tensor, seen: Tensor, wo: Tensor) -> Tensor:
+def _shine(gloss: Gloss, light: GlossLight, frame: Tensor, seen: Tensor, wo: Tensor, around: Around | None) -> Tensor:
     """What points (n, ...) send out (n, c)."""
     table, turns = gloss.lobes
     index, weights = rows_of(wo, turns)
@@ -350,10 +126,43 @@ def _shine(gloss: Gloss, light: GlossLight, frame: Tensor, seen: Tensor, wo: Ten
     axes = row[..., :3] @ frames(wo)
     through = visible(seen, axes, level)
     about = blurred(light.maps, axes @ frame @ light.turn, level)
-    out: Tensor = (row[..., 4:] * about * through[..., None]).sum(1)
+    about = about * through[..., None]
+    if around is not None:
+        about = about + _from_points(around, frame, axes, light.turn) * (1 - through)[..., None]
+    out: Tensor = (row[..., 4:] * about).sum(1)
     if not len(light.lamps):
         return out
     return out + _lamps(frame, seen, wo, gloss, index, weights, light)
+
+
+def _from_points(around: Around, frame: Tensor, axes: Tensor, turn: Tensor) -> Tensor:
+    """B (n, k, c) that points (n, ...) see about their local axes (n, k, 3); 0 where they see none.
+
+    What is sent is taken against the axis, not from one vertex to the other, which lie beside where the axis begins and
+    ends: in a trial on a statue of gold of roughness 0.2, from one to the other erred by 42 %, this by 25.
+    """
+    place = ((hemi_octahedral(axes) + 1) * (MEETS / 2)).floor().clamp(0, MEETS - 1).long()
+    met = around.meets.gather(1, place[..., 1] * MEETS + place[..., 0]).long()
+    of_point = around.points[met.clamp(min=0)]
+    wo = -(of_point[..., :9].unflatten(-1, (3, 3)) @ (axes @ frame)[..., None])[..., 0]
+    there = torch.nonzero((met >= 0) & (wo[..., 2] > 0), as_tuple=True)
+    sent = _as_one_lobe(around, met[there], of_point[there], wo[there], turn)
+    return sent.new_zeros(*met.shape, sent.shape[1]).index_put(there, sent)
+
+
+def _as_one_lobe(around: Around, met: Tensor, of_point: Tensor, wo: Tensor, turn: Tensor) -> Tensor:
+    """B (m, c) of points by their numbers (m,), their records (m, RECORD) and local directions (m, 3) of view.
+
+    The nearest row of the table and the nearest width serve: what comes of many such points is a mean.
+    """
+    row = (wo[:, 2] * (TILTS - 0.5) - 0.5).round().clamp(0, TILTS - 1) + of_point[:, 10]
+    table = around.tables[row.long()]
+    axis = table[:, None, :3] @ frames(wo)  # shape: (m, 1, 3)
+    level = table[:, None, 3].detach().round()
+    through = visible(around.seen[of_point[:, 9].long()], axis, level)
+    lit = blurred(around.maps, axis @ of_point[:, :9].unflatten(-1, (3, 3)) @ turn, level)[:, 0]
+    dull, mean = around.sent[met][:, :3], around.sent[met][:, 3:6]
+    return dull + table[:, 4:7] * torch.lerp(mean, lit, through)
 
 
 def blurred(maps: Tensor, axes: Tensor, level: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from ptt.ops import lobes
 from ptt.ops.octahedral import HemiOctahedral, sampled
-from ptt.ops.raycast import Surface
+from ptt.ops.raycast import Hits, Surface
 from ptt.ops.sphere import Cube
 
 GOLDEN = math.pi * (3 - math.sqrt(5))  # turn [rad] from one direction of the spiral of `gather_directions` to the next
@@ -54,12 +54,30 @@ def gather(surface: Surface, faces: Tensor, points: Tensor, frames: Tensor, loca
 
     Back faces show nothing.
     """
-    directions = (local.to(frames) @ frames).flatten(0, 1)  # shape: (v * n, 3)
-    origins = surface.offset(points, frames[:, 2]).repeat_interleave(len(local), 0)
-    hits = surface.first_hit(origins, directions)
+    hits = _first_hits(surface, points, frames, local)
     corner = (hits.barycentric.cumsum(1)[:, :2] < u.flatten()[:, None]).sum(1)
-    vertex = faces[hits.triangle.clamp(min=0), corner]
-    return torch.where(hits.front, vertex, -1).int().reshape(u.shape)
+    return _corners(faces, hits, corner).reshape(u.shape)
+
+
+def meets(surface: Surface, faces: Tensor, points: Tensor, frames: Tensor, local: Tensor) -> Tensor:
+    """The vertex (v, n) int32 that each point sees in each local direction (n, 3): the nearest of the triangle; -1 for
+    none.
+
+    surface, faces, points, frames: as for `gather`; back faces show nothing
+    """
+    hits = _first_hits(surface, points, frames, local)
+    return _corners(faces, hits, hits.barycentric.argmax(1)).reshape(len(points), len(local))
+
+
+def _first_hits(surface: Surface, points: Tensor, frames: Tensor, local: Tensor) -> Hits:
+    """What points (v, ...) see in local directions (n, 3), v * n of them."""
+    directions = (local.to(frames) @ frames).flatten(0, 1)
+    return surface.first_hit(surface.offset(points, frames[:, 2]).repeat_interleave(len(local), 0), directions)
+
+
+def _corners(faces: Tensor, hits: Hits, corner: Tensor) -> Tensor:
+    """The vertices (n,) int32 at some corners (n,) of what was hit; -1 for none."""
+    return torch.where(hits.front, faces[hits.triangle.clamp(min=0), corner], -1).int()
 
 
 def unpack(bits: Tensor, length: int) -> Tensor:

@@ -8,10 +8,8 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import pad
 
 from ptt.light.environment import Environment
-from ptt.light.lamps import Lamps
 from ptt.materials.material import Material
 from ptt.materials.varying import SurfaceMaterial, Varying, all_shares
 from ptt.models import slots
@@ -21,26 +19,20 @@ from ptt.models.indirect import COARSE, COARSEST, ORDER, blurs, responses
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import harmonics
 from ptt.ops.compiling import in_python, opaque, uncompiled
-from ptt.ops.constants import LEVELS
-from ptt.ops.gloss import Gloss, GlossLight, gloss_of, width
 from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
 from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion
-from ptt.relight.light_step import LightStep, SplitLight
+from ptt.relight.light_step import BlurredLight, LightStep
 from ptt.relight.operations import operations
 
-WIDTHS = (0.0, *(width(level) for level in range(1, LEVELS)))
-"""Degrees that narrow lobes cover, by their levels; the first is as narrow as the maps are."""
 DULL = 1e-4
 """A lobe that reflects no more than this is left out: a hundredth of what eight bits of visibility resolve."""
 
 
 class ClusterLight(NamedTuple):
-    """Under one light: what arrives in every region, and of its lamps (v, c), None without any, and the light as lobes see
-    it."""
+    """Under one light: what arrives in every region, and the light as lobes see it."""
 
     arriving: list[ArrivingLight]
-    of_lamps: list[Tensor] | None
-    split: SplitLight
+    blurred: BlurredLight
 
 
 class MaterialLobes(NamedTuple):
@@ -54,13 +46,11 @@ class MaterialLobes(NamedTuple):
 
 
 class LayerTables(NamedTuple):
-    """A layer of a region's material: M (c, 1 + o, 1 + i), the lobes of its highlights, its narrow lobes, None where
-    the tensor reflects direct light, and how much of it there is at each of the region's points (n, c), None for
-    all."""
+    """A layer of a region's material: M (c, 1 + o, 1 + i), the lobes of its highlights, and how much of it there is at
+    each of the region's points (n, c), None for all."""
 
     coupling: Tensor
     lobes: list[MaterialLobes]
-    gloss: Gloss | None
     share: Tensor | None
 
 
@@ -74,21 +64,13 @@ class RegionMaterial(NamedTuple):
 
 
 class Layer(NamedTuple):
-    """A part of what a region sends out: Q and I (b, c, 1 + o + s, w), the lobes that I lights, those that direct light
-    does, what is diffuse of lamps (v, c), and how much of it all there is at each point (v, c), None for all. whole: says
-    whether there is a Q, or I alone."""
+    """A part of what a region sends out: Q and I (b, c, 1 + o + s, w), its lobes, and how much of it all there is at each
+    point (n, c), None for all. whole: says whether there is a Q, or I alone."""
 
     sent: OutgoingLight
     lobes: LitLobes | None
-    gloss: tuple[Gloss, GlossLight] | None
-    diffuse: Tensor | None
     share: Tensor | None
     whole: bool
-
-    @property
-    def whole_of_view(self) -> bool:
-        """Tell whether the view step alone shows it."""
-        return self.gloss is None and self.diffuse is None and self.share is None
 
 
 class ClusterExitant(NamedTuple):
@@ -129,11 +111,7 @@ class RegionPoints(nn.Module):
 
 @in_python
 class ClusterSteps(nn.Module):
-    """Light, BRDF and view step of a model with clusters.
-
-    narrow: says whether narrow lobes reflect direct light; by_tensor: whether the BRDF tensor reflects anything then,
-        which is light that bounced
-    """
+    """Light, BRDF and view step of a model whose highlights are those of the BRDF tensor."""
 
     to_factors: Tensor
     to_harmonics: Tensor
@@ -141,15 +119,12 @@ class ClusterSteps(nn.Module):
     rows: Tensor
     keep: Tensor
 
-    def __init__(self, model: TransferModel, compiled: bool, lobes: int) -> None:
+    def __init__(self, model: TransferModel, compiled: bool) -> None:
         super().__init__()
         assert model.basis is not None
         self.model = model
         self.basis = model.basis
-        self.narrow = model.highlights == "lobes"
-        self.by_tensor = not self.narrow or any(region.slots or region.pairs for region in model.clustered)
-        self.count = lobes
-        self.light = LightStep(model.grid, WIDTHS if self.narrow else model.brdf.angles, compiled, self.narrow)
+        self.light = LightStep(model.grid, model.brdf.angles, compiled)
         rows, keep = slots.chosen(model.slots, model.basis.table.shape[1])
         tensors = {
             "to_factors": responses(model.brdf),
@@ -175,34 +150,18 @@ class ClusterSteps(nn.Module):
     @uncompiled
     def incident(self, environment: Environment) -> ClusterLight:
         """The light step."""
-        split = self.light.with_lobes(environment)
-        light = split.whole.light
-        fine = split.rest.light.flatten(1)
+        blurred = self.light.with_lobes(environment).whole
+        light = blurred.light
         coarse = light[..., :COARSE, :COARSE].flatten(1)
         coarsest = light[..., :COARSEST, :COARSEST].flatten(1)
-        arriving = [self._arriving(region, fine, coarse, coarsest) for region in self.model.clustered]
-        return ClusterLight(arriving, self._of_lamps(split.lamps), split)
-
-    def _of_lamps(self, lamps: Lamps) -> list[Tensor] | None:
-        """What arrives of lamps at the points (v, c) of every region; T0 has the light without them."""
-        if not len(lamps.directions):
-            return None
-        return [
-            self._operations.irradiance(self._surface(r, None), region.seen, *lamps)
-            for r, region in enumerate(self.model.clustered)
-        ]
-
-    def _surface(self, region: int, colour: Tensor | None) -> SurfaceBlocks:
-        points, own = self.points[region], self.model.clustered[region]
-        return SurfaceBlocks(points.position, points.frame, colour, own.cuts, own.place)
+        arriving = [self._arriving(region, light.flatten(1), coarse, coarsest) for region in self.model.clustered]
+        return ClusterLight(arriving, blurred)
 
     def _arriving(self, region: ClusteredTransfer, fine: Tensor, coarse: Tensor, coarsest: Tensor) -> ArrivingLight:
         """What arrives at a region's eigen-points, of lighting (c, l) at three resolutions."""
         light_eigen = self._operations.light_eigen
         e = region.eigenvectors
         direct = light_eigen(region.direct, fine, region.columns).unflatten(2, (e, -1))
-        if self.narrow and self.by_tensor:  # the other factors are of light that bounced alone
-            direct = pad(direct, (0, self.to_factors.shape[1] - 1))
         reduced = light_eigen(region.lighting, coarse)  # shape: (k, c, n)
         one = light_eigen(region.one, reduced).unflatten(2, (len(region.slots), e, ORDER**2))
         two = light_eigen(region.two, coarsest).unflatten(2, (len(region.pairs), e))
@@ -248,20 +207,9 @@ class ClusterSteps(nn.Module):
         brdf = self.model.brdf
         highlights = brdf.space.highlights(material)
         coloured = brdf.space.mixed(highlights)
-        lobes = [self._lobes(*highlight) for highlight in highlights] if brdf.angles and self.by_tensor else []
+        lobes = [self._lobes(*highlight) for highlight in highlights] if brdf.angles else []
         coupling = brdf.coupling(material, coloured)
-        if not self.by_tensor:
-            coupling = coupling[:, :1, :1]
-        gloss = self._gloss(material) if self.narrow else None
-        return LayerTables(coupling, [one for one in lobes if one is not None], gloss, share), coloured
-
-    def _gloss(self, material: Material) -> Gloss | None:
-        """The narrow lobes of a material; None where it reflects nothing glossily."""
-        if not material.shining:
-            return None
-        made = gloss_of(material.glossy, material.isotropic, self.count, self._operations.cell_sums)
-        lobes = made.lobes._replace(table=made.lobes.table.to(self.blurs))
-        return made._replace(lobes=lobes, values=made.values.to(self.blurs))
+        return LayerTables(coupling, [one for one in lobes if one is not None], share), coloured
 
     def _lobes(self, coordinates: Tensor, colour: Tensor) -> MaterialLobes | None:
         """The lobes of a shape, by its coordinates in the space; None where all are dull."""
@@ -286,33 +234,22 @@ class ClusterSteps(nn.Module):
         pairs = [points.pairs for points in self.points]
         h = slot_weights(functions, self.rows, self.keep, slots, pairs)
         layers = []
-        for r, (arriving, material, weights) in enumerate(zip(light.arriving, materials, h, strict=True)):
-            sent = partial(self._sent, self.model.clustered[r], arriving, *weights)
-            lamps = self._diffuse(r, light, material.colour)
-            layers.append([layer for tables in material.layers for layer in self._layers(tables, light, lamps, sent)])
-        surfaces = [self._surface(r, material.colour) for r, material in enumerate(materials)]
-        outgoing = self.model.brdf.u_o.flatten(1).T
-        return ClusterExitant(surfaces, layers, (outgoing if self.by_tensor else outgoing[:, :0]).contiguous())
+        for region, arriving, material, weights in zip(self.model.clustered, light.arriving, materials, h, strict=True):
+            sent = partial(self._sent, region, arriving, *weights)
+            layers.append([layer for tables in material.layers for layer in self._layers(tables, light, sent)])
+        surfaces = [
+            SurfaceBlocks(points.position, points.frame, material.colour, region.cuts, region.place)
+            for points, region, material in zip(self.points, self.model.clustered, materials, strict=True)
+        ]
+        return ClusterExitant(surfaces, layers, self.model.brdf.u_o.flatten(1).T.contiguous())
 
-    def _diffuse(self, region: int, light: ClusterLight, colour: Tensor | None) -> Tensor | None:
-        """What arrives of lamps at a region's points (v, c), times their colours (c, n)."""
-        if light.of_lamps is None:
-            return None
-        own = light.of_lamps[region]
-        return own if colour is None else own * colour[:, self.model.clustered[region].place].T
-
-    def _layers(
-        self, tables: LayerTables, light: ClusterLight, lamps: Tensor | None, sent: Callable[..., OutgoingLight]
-    ) -> list[Layer]:
+    def _layers(self, tables: LayerTables, light: ClusterLight, sent: Callable[..., OutgoingLight]) -> list[Layer]:
         """A layer with its first highlight, and one for the lobes of each further highlight."""
         lobes = [self._lit(own, light) for own in tables.lobes]
-        first = lobes[0] if lobes else None
-        gloss = None if tables.gloss is None else (tables.gloss, _light_for(tables.gloss, light.split))
-        diffuse = None if lamps is None else lamps * tables.coupling[:, 0, 0]
-        found = [Layer(sent(tables.coupling, bool(lobes)), first, gloss, diffuse, tables.share, True)]
+        found = [Layer(sent(tables.coupling, bool(lobes)), lobes[0] if lobes else None, tables.share, True)]
         if lobes[1:]:
             arrived = sent(torch.zeros_like(tables.coupling[:, :1]), True)
-            found += [Layer(arrived, own, None, None, tables.share, False) for own in lobes[1:]]
+            found += [Layer(arrived, own, tables.share, False) for own in lobes[1:]]
         return found
 
     def _sent(
@@ -330,13 +267,12 @@ class ClusterSteps(nn.Module):
         sent: OutgoingLight = self._operations.expand(eigen, region.weights, region.cluster)
         return sent
 
-    def _lit(self, lobes: MaterialLobes, light: ClusterLight) -> LitLobes:
-        """Lobes under a light; under what bounced of it alone, where narrow lobes reflect direct light."""
-        maps = None
-        if not self.narrow:
-            maps = light.split.whole.maps
-            maps = maps if len(lobes.which) == len(maps) else maps[lobes.which]
-        return LitLobes(lobes.which, lobes.rho, lobes.axes, lobes.specular, maps, light.split.whole.turn, lobes.blurs)
+    @staticmethod
+    def _lit(lobes: MaterialLobes, light: ClusterLight) -> LitLobes:
+        """Lobes under a light."""
+        maps = light.blurred.maps
+        maps = maps if len(lobes.which) == len(maps) else maps[lobes.which]
+        return LitLobes(lobes.which, lobes.rho, lobes.axes, lobes.specular, maps, light.blurred.turn, lobes.blurs)
 
     def radiance(self, exitant: ClusterExitant, eye: Tensor) -> Tensor:
         """The view step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
@@ -348,33 +284,17 @@ class ClusterSteps(nn.Module):
             for surface, at, layers in zip(exitant.surfaces, eyes, exitant.layers, strict=True)
         ]
         radiance: Tensor = self._operations.view(seen, exitant.outgoing)
-        if all(len(layers) == 1 and layers[0].whole_of_view for layers in exitant.layers):
+        if all(len(layers) == 1 and layers[0].share is None for layers in exitant.layers):
             return radiance
         parts = list(radiance.split([len(surface.place) for surface in exitant.surfaces]))
         for r, (first, *more) in enumerate(exitant.layers):
-            parts[r] = _some(parts[r] + self._shining(exitant, r, first, eyes[r]), first.share)
+            parts[r] = _some(parts[r], first.share)
             for layer in more:
                 outgoing = exitant.outgoing if layer.whole else exitant.outgoing[:, :0]
                 points = exitant.surfaces[r] if layer.whole else exitant.surfaces[r]._replace(colour=None)
                 part = self._operations.view([ViewedRegion(points, eyes[r], layer.sent, layer.lobes)], outgoing)
-                parts[r] = parts[r] + _some(part + self._shining(exitant, r, layer, eyes[r]), layer.share)
+                parts[r] = parts[r] + _some(part, layer.share)
         return torch.cat(parts)
-
-    def _shining(self, exitant: ClusterExitant, region: int, layer: Layer, eye: Tensor) -> Tensor | float:
-        """What narrow lobes reflect of direct light, and what is diffuse of lamps (v, c)."""
-        diffuse = 0.0 if layer.diffuse is None else layer.diffuse
-        if layer.gloss is None:
-            return diffuse
-        seen = self.model.clustered[region].seen
-        shining: Tensor = self._operations.shine(exitant.surfaces[region], eye, seen, *layer.gloss)
-        return shining + diffuse
-
-
-def _light_for(gloss: Gloss, light: SplitLight) -> GlossLight:
-    """The light of a material's narrow lobes: a sharp one sees lamps as they are on the maps, areas or not."""
-    if gloss.sharp:
-        return GlossLight(light.whole.maps, light.whole.turn, *Lamps.none(light.whole.turn))
-    return GlossLight(light.rest.maps, light.rest.turn, *light.lamps)
 
 
 def _some(radiance: Tensor, share: Tensor | None) -> Tensor:

@@ -17,6 +17,7 @@ from ptt.ops import native
 from ptt.ops.compiling import in_python, uncompiled
 from ptt.ops.constants import MOST_CELLS
 from ptt.relight.cluster_steps import ClusterSteps
+from ptt.relight.lobe_steps import LobeSteps
 from ptt.relight.point_steps import PointSteps
 from ptt.relight.relighter import Relighter
 from ptt.relight.viewpoint import View
@@ -53,7 +54,7 @@ class TransferRelighter(Relighter):
         if compiled and model.highlights == "lobes":
             native.prepare("cells", "gloss")
         self.model = model
-        self.steps: Any = ClusterSteps(model, compiled, lobes) if len(model.regions) else PointSteps(model)
+        self.steps = _steps(model, compiled, lobes)
         self._sources = list(model.modules())
         self._at_points = {name: Cache() for name in model.receivers.names}
 
@@ -101,3 +102,9 @@ class TransferRelighter(Relighter):
         """What of it goes to the eye."""
         radiance: Tensor = self.steps.radiance(exitant, eye)
         return radiance
+
+
+def _steps(model: TransferModel, compiled: bool, lobes: int) -> Any:
+    if not len(model.regions):
+        return PointSteps(model)
+    return LobeSteps(model, compiled, lobes) if model.highlights == "lobes" else ClusterSteps(model, compiled)

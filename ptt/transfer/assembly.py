@@ -73,12 +73,14 @@ class PictureWeights(NamedTuple):
 
     factors (1 + i,), light (l,): those of T0's factors and coefficients
     slots (q,), harmonics (s,): those of T1's slots and harmonics
+    diffuse_harmonics (1,): of the only harmonic that diffuse reflection knows
     """
 
     factors: Tensor
     light: Tensor
     slots: Tensor
     harmonics: Tensor
+    diffuse_harmonics: Tensor
 
     def of_t1(self, slots: Tensor) -> Tensor:
         """The weights (q, s, 1) of T1, for some slots by their numbers (q,)."""
@@ -92,7 +94,8 @@ class Transfer:
     raw, brdf, basis: what it was made from
     direct, indirect: T0, and T1 and T2
     cuts (v, cells, k) uint8: fractional visibility of the lobes (`transfer.lobe_visibility`)
-    seen (v, words) int32: what points see of their hemispheres (`transfer.hemispheres`); no words without narrow lobes
+    seen (v, words), meets (v, cells) int32: what points see of their hemispheres, and which points
+        (`transfer.hemispheres`, `transfer.meets`); nothing of it without narrow lobes
     weights: what each part adds to the picture
     highlights: how direct light is reflected glossily (`Highlights`)
     """
@@ -103,6 +106,7 @@ class Transfer:
     direct: DirectTransfer
     cuts: Tensor
     seen: Tensor
+    meets: Tensor
     indirect: IndirectTransfer
     weights: PictureWeights
     highlights: Highlights
@@ -139,13 +143,17 @@ def assemble(
     narrow = highlights == "lobes"
     direct = direct_light(raw, brdf, coefficients, progress, dull=narrow)
     cuts = _cuts(raw, brdf.angles if slots or not narrow else (), progress)
-    seen = _seen(raw, progress) if narrow else torch.zeros(len(raw.receivers), 0, dtype=torch.int32)
-    weights = _weights(brdf, basis, slots, dull=narrow)
+    none = torch.zeros(len(raw.receivers), 0, dtype=torch.int32)
+    seen = _seen(raw, progress) if narrow else none
+    weights = _weights(brdf, basis, slots)
     if slots:
         indirect = _indirect(Bounces(raw, brdf, basis, direct.coarse, cuts), weights, axes, progress)
     else:
         indirect = _no_indirect(len(raw.receivers))
-    return Transfer(raw, brdf, basis, direct, cuts, seen, indirect, weights, highlights)
+    if narrow:  # which reflect light glossily, whatever it was before
+        indirect = indirect._replace(one=indirect.one[:, :, :1].contiguous())
+        weights = weights._replace(factors=weights.factors[:1], harmonics=weights.diffuse_harmonics)
+    return Transfer(raw, brdf, basis, direct, cuts, seen, raw.meets if narrow else none, indirect, weights, highlights)
 
 
 def direct_light(
@@ -215,7 +223,9 @@ def _cuts(raw: RawTransfer, angles: Sequence[float], progress: bool) -> Tensor:
     return _of_visibility(raw, partial(transfer.lobe_visibility, cells=CUTS, angles=angles), "lobes", progress)
 
 
-def _of_visibility(raw: RawTransfer, made: Callable[[Tensor, Tensor, Cube], Tensor], what: str, progress: bool) -> Tensor:
+def _of_visibility(
+    raw: RawTransfer, made: Callable[[Tensor, Tensor, Cube], Tensor], what: str, progress: bool
+) -> Tensor:
     """What is made (v, ...) of the visibility and the frames of all points, some at a time."""
     grid = Cube(raw.resolution)
     parts = []
@@ -242,14 +252,15 @@ def _axis_count(points: int, slots: int, bounces: int, max_memory: float) -> int
     return min(AXES, fit)
 
 
-def _weights(brdf: TensorBRDF, basis: BRDFBasis, slots: list[Slot], dull: bool) -> PictureWeights:
+def _weights(brdf: TensorBRDF, basis: BRDFBasis, slots: list[Slot]) -> PictureWeights:
     importance = brdf.importance()
     typical = basis.table.square().mean(0).sqrt() * TYPICAL  # shape: (p,)
     return PictureWeights(
-        factors=importance[:1] if dull else importance,
+        factors=importance,
         light=natural(Cube(COARSE)),
         slots=torch.tensor([TYPICAL if slot.function <= 0 else float(typical[slot.function - 1]) for slot in slots]),
         harmonics=(responses(brdf).square() @ importance.square()).sqrt(),
+        diffuse_harmonics=responses(brdf)[:1, 0] * importance[0],
     )
 
 

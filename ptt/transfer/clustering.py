@@ -18,7 +18,6 @@ from torch import Tensor
 from tqdm import tqdm
 
 from ptt.models.clustered_transfer import STORAGE, WIDTH, ClusteredTransfer, in_blocks
-from ptt.models.indirect import ORDER
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import cpca
 from ptt.ops.constants import MOST_LOBES
@@ -135,7 +134,7 @@ class _RegionTransfer:
         factors = len(self.transfer.weights.factors)
         m = min(clusters.columns, Cube(self.transfer.raw.resolution).cells)
         n = self._lighting_dimensions(clusters)
-        each = factors * m + len(self.slots) * ORDER**2 * n + len(self.pairs) * indirect.two.shape[3]
+        each = factors * m + len(self.slots) * indirect.one.shape[2] * n + len(self.pairs) * indirect.two.shape[3]
         return clusters.eigenvectors * each * clusters.storage.itemsize + 8 * m + 4 * n * indirect.axes.shape[1]
 
     def _lighting_dimensions(self, clusters: Clusters) -> int:
@@ -172,7 +171,8 @@ class _RegionTransfer:
             one=t1.to(clusters.storage),
             two=t2.to(clusters.storage),
             cuts=self._cuts(place, len(cluster)),
-            seen=self._seen(place, len(cluster)),
+            seen=self._in_blocks(self.transfer.seen, 0, place, len(cluster)),
+            meets=self._in_blocks(self.transfer.meets, -1, place, len(cluster)),
         )
 
     def _cuts(self, place: Tensor, blocks: int) -> Tensor:
@@ -184,10 +184,10 @@ class _RegionTransfer:
         bytes_[place[:, None], tiles(math.isqrt(cuts.shape[1])), : cuts.shape[2]] = cuts
         return bytes_.view(torch.int32).squeeze(2)
 
-    def _seen(self, place: Tensor, blocks: int) -> Tensor:
-        """What the points see of their hemispheres (b * WIDTH, words) int32."""
-        own = self.transfer.seen[self.first : self.end]
-        return own.new_zeros(blocks * WIDTH, own.shape[1]).index_copy(0, place, own)
+    def _in_blocks(self, values: Tensor, padding: int, place: Tensor, blocks: int) -> Tensor:
+        """Of values (v, n) of all points those of the region (b * WIDTH, n)."""
+        own = values[self.first : self.end]
+        return own.new_full((blocks * WIDTH, own.shape[1]), padding).index_copy(0, place, own)
 
     def _sketch(self) -> Tensor:
         """Features (v, r) of all points on common directions."""

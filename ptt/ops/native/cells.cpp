@@ -1,4 +1,4 @@
-// Cells of f cos of ptt/ops/gloss.py, by the algorithm of Lloyd, and what each of them reflects.
+// Cells of f cos of ptt/ops/cells.py, by the algorithm of Lloyd, and what each of them reflects.
 //
 // Directions, masses and centres are whole numbers, so small that their products and sums are exact in any order.
 

@@ -1,6 +1,6 @@
 // Glossy reflection of ptt/ops/gloss.py in one pass over the points (float32, isotropic, three channels):
 //
-//     B[v, c] = sum over n of  w_n[c](wo) E[c](a_n, s_n) V_v(a_n, s_n)
+//     B[v, c] = sum over n of  w_n[c](wo) (V_v(a_n, s_n) E[c](a_n, s_n) + (1 - V_v(a_n, s_n)) B[y_n, c])
 //             + sum over m of  f[c](d_m, wo) cos(d_m) V_v(d_m) P_m[c]
 //
 // Points go LANES at a time, one in each lane of a vector; light and f, which each point reads in places of its own,
@@ -9,6 +9,7 @@
 
 #include "lanes.h"
 
+constexpr float CLEAR = 1.0f / 512;  // a lobe of which less is hidden meets nothing: half of what a byte resolves
 constexpr int AHEAD = 2;    // groups, of which what is seen is fetched
 constexpr int COLUMNS = 7;  // of a lobe: along, across, mirror, level, and w of each channel
 constexpr int WIDE_FROM = BITS * BITS / 8, WIDEST_FROM = WIDE_FROM + WIDE_SIDE * WIDE_SIDE;  // bytes of what a point sees
@@ -17,7 +18,8 @@ constexpr int RING = 3 * SECTORS, ROW = RINGS * RING;  // numbers of f
 
 // Of a lobe of a group of points
 struct Lobe {
-    Lanes a, b, level;  // where its axis lies on maps of the hemisphere, and how wide it is
+    Lanes local[3];     // its axis
+    Lanes a, b, level;  // where that lies on maps of the hemisphere, and how wide it is
     Ints first;         // number of the maps of light, and how far on to the right, down, and to the next level
     Lanes x, y, next;
 };
@@ -37,17 +39,29 @@ static inline void hemi_octahedral(const Lanes *d, Lanes &a, Lanes &b) {
     a = (d[0] + d[1]) * scale, b = (d[0] - d[1]) * scale;
 }
 
+// The local axis of a row (along, across, mirror) of a table, for directions wo, and unit (u, v) along them.
+static inline void axis_of(const Lanes *row, const Lanes *wo, Lanes u, Lanes v, Lanes *local) {
+    const Lanes x = wo[0], y = wo[1], z = size(wo[2]), flat = row[0] * z;
+    local[0] = flat * u - row[1] * v - row[2] * x;
+    local[1] = flat * v + row[1] * u - row[2] * y;
+    local[2] = row[0] * (x * u + y * v) + row[2] * z;
+}
+
+// Unit (u, v) along directions as seen from above; those of one that is the normal are (1, 0).
+static inline void flattened(const Lanes *wo, Lanes &u, Lanes &v) {
+    const Lanes s = root(wo[0] * wo[0] + wo[1] * wo[1]);
+    u = s < HEAD_ON ? all(1) : wo[0] / most(s, all(HEAD_ON));
+    v = s < HEAD_ON ? all(0) : wo[1] / most(s, all(HEAD_ON));
+}
+
 static inline void find(const Shine &g, const Look &at, const Lanes (&turned)[3][3], int k, Lobe &lobe) {
-    const Lanes x = at.wo[0], y = at.wo[1], z = size(at.wo[2]), s = x * at.u + y * at.v;
-    Lanes row[4], local[3], d[3];  // along, across, mirror, level
+    Lanes row[4], d[3];  // along, across, mirror, level
     gather_four(at.rows[0] + COLUMNS * k, lane() * (int)(sizeof *at.rows / sizeof **at.rows), row);
-    const Lanes flat = row[0] * z;
-    local[0] = flat * at.u - row[1] * at.v - row[2] * x;
-    local[1] = flat * at.v + row[1] * at.u - row[2] * y;
-    local[2] = row[0] * s + row[2] * z;
+    Lanes(&local)[3] = lobe.local;
+    axis_of(row, at.wo, at.u, at.v, local);
     for (int c = 0; c < 3; ++c) d[c] = local[0] * turned[0][c] + local[1] * turned[1][c] + local[2] * turned[2][c];
     const Place on = place_on_sphere(d, g.map);
-    const Ints below = clamp(whole(row[3]), g.levels - 2);
+    const Ints below = clamp(whole(row[3]), LEVELS - 2);
     hemi_octahedral(local, lobe.a, lobe.b);
     lobe.level = row[3], lobe.next = row[3] - real(below);
     lobe.first = ((below * g.map + on.row) * g.map + on.column) * CHANNELS, lobe.x = on.x, lobe.y = on.y;
@@ -76,9 +90,7 @@ static inline void look(const Shine &g, int64_t v, Look &at) {
     }
     const Ints here = (at.wo[0] == 0) & (at.wo[1] == 0) & (at.wo[2] == 0);  // an eye in a point looks along its normal
     at.wo[2] = here ? all(1) : at.wo[2];
-    const Lanes s = root(at.wo[0] * at.wo[0] + at.wo[1] * at.wo[1]);
-    at.u = s < HEAD_ON ? all(1) : at.wo[0] / most(s, all(HEAD_ON));
-    at.v = s < HEAD_ON ? all(0) : at.wo[1] / most(s, all(HEAD_ON));
+    flattened(at.wo, at.u, at.v);
     const Lanes tilt = least(most(size(at.wo[2]) * (TILTS - 0.5f) - 0.5f, all(0)), all(TILTS - 1));
     at.row = clamp(whole(tilt), TILTS - 2), at.share = tilt - real(at.row);
     const int columns = COLUMNS * g.lobes;
@@ -89,11 +101,11 @@ static inline void look(const Shine &g, int64_t v, Look &at) {
     for (int k = 0; k < g.lobes; ++k) find(g, at, to_map, k, at.lobes[k]);
 }
 
-// ptt.ops.gloss.bits_at
-static inline Lanes bits_at(const uint8_t *seen, Lanes a, Lanes b) {
+// ptt.ops.gloss.bits_at, of points of which what is seen begins at some bytes
+static inline Lanes bits_at(const uint8_t *seen, Ints from, Lanes a, Lanes b) {
     const Place p = place(a, b, BITS);
     const Ints byte = clamp(p.column >> 3, BITS / 8 - 4), shift = p.column - 8 * byte;  // 32 bits with both columns
-    const Ints first = lane() * SEEN + p.row * (BITS / 8) + byte;
+    const Ints first = from + p.row * (BITS / 8) + byte;
     const Ints above = gather_bytes(seen, first) >> shift, below = gather_bytes(seen, first + BITS / 8) >> shift;
     const Lanes bits[4] = {real(above & 1), real(above >> 1 & 1), real(below & 1), real(below >> 1 & 1)};
     return blend(bits, p.x, p.y);
@@ -101,24 +113,78 @@ static inline Lanes bits_at(const uint8_t *seen, Lanes a, Lanes b) {
 
 // The bilinear mean of a map of N x N bytes, the byte FROM of a point and those after it
 template <int FROM, int N>
-static inline Lanes bytes_at(const uint8_t *seen, Lanes a, Lanes b) {
+static inline Lanes bytes_at(const uint8_t *seen, Ints from, Lanes a, Lanes b) {
     const Place p = place(a, b, N);
     const Ints byte = clamp(p.column, N - 4), shift = 8 * (p.column - byte);
-    const Ints first = lane() * SEEN + FROM + p.row * N + byte;
+    const Ints first = from + FROM + p.row * N + byte;
     const Ints above = gather_bytes(seen, first) >> shift, below = gather_bytes(seen, first + N) >> shift;
     const Lanes shares[4] = {real(above & BYTE), real(above >> 8 & BYTE), real(below & BYTE), real(below >> 8 & BYTE)};
     return blend(shares, p.x, p.y) * (1.0f / BYTE);
 }
 
 // ptt.ops.gloss.visible
-static inline Lanes visible(const uint8_t *seen, const Lobe &lobe) {
-    const Lanes at = (lobe.level - 1.0f) * 0.25f, wide = least(most(at, all(0)), all(1));
+static inline Lanes visible(const uint8_t *seen, Ints from, Lanes a, Lanes b, Lanes level) {
+    const Lanes at = (level - 1.0f) * 0.25f, wide = least(most(at, all(0)), all(1));
     const Lanes widest = least(most(2.0f * at - 2.0f, all(0)), all(1));
     Lanes through = all(0);
-    if (any(wide < 1)) through = bits_at(seen, lobe.a, lobe.b);
-    if (any((wide > 0) & (widest < 1))) through += wide * (bytes_at<WIDE_FROM, WIDE_SIDE>(seen, lobe.a, lobe.b) - through);
-    if (any(widest > 0)) through += widest * (bytes_at<WIDEST_FROM, WIDEST_SIDE>(seen, lobe.a, lobe.b) - through);
+    if (any(wide < 1)) through = bits_at(seen, from, a, b);
+    if (any((wide > 0) & (widest < 1))) through += wide * (bytes_at<WIDE_FROM, WIDE_SIDE>(seen, from, a, b) - through);
+    if (any(widest > 0)) through += widest * (bytes_at<WIDEST_FROM, WIDEST_SIDE>(seen, from, a, b) - through);
     return through;
+}
+
+// The points that a group sees about the axis of a lobe, -1 for none
+static inline Ints met_by(const Shine &g, int64_t v, const Lobe &lobe) {
+    const Ints column = clamp(whole((lobe.a + 1.0f) * (0.5f * MEETS)), MEETS - 1);
+    const Ints row = clamp(whole((lobe.b + 1.0f) * (0.5f * MEETS)), MEETS - 1);
+    const float *from = (const float *)(g.meets + v * MEETS * MEETS);
+    return (Ints)gather(from, lane() * (MEETS * MEETS) + row * MEETS + column);
+}
+
+// Light E about directions in the frame of the map, of the nearest of the widths (ptt.ops.gloss.blurred)
+static inline void light_at(const float *maps, int map, const Lanes *d, Ints level, Lanes *out) {
+    const Place on = place_on_sphere(d, map);
+    const Ints first = ((level * map + on.row) * map + on.column) * CHANNELS;
+    Lanes corner[4][4];
+    for (int j = 0; j < 4; ++j) gather_four(maps + ((j >> 1) * map + (j & 1)) * CHANNELS, first, corner[j]);
+    for (int c = 0; c < 3; ++c) {
+        const Lanes e[4] = {corner[0][c], corner[1][c], corner[2][c], corner[3][c]};
+        out[c] = blend(e, on.x, on.y);
+    }
+}
+
+// What a group sees of other points about the axis of a lobe, of which a share is hidden from the sky
+// (ptt.ops.gloss._from_points, _as_one_lobe)
+static inline void from_points(const Shine &g, int64_t v, const Look &at, const Lobe &lobe, Lanes hidden, Lanes *out) {
+    const Ints met = met_by(g, v, lobe);
+    Ints there = (met >= 0) & (hidden > CLEAR);
+    for (int c = 0; c < 3; ++c) out[c] = all(0);
+    if (!any(there)) return;
+    const Ints point = there ? met : Ints{};
+    Lanes record[12], wo[3], world[3], u, w, local[3], axis[3], d[3], table[8], sent[8], e[3], a, b;
+    for (int i = 0; i < 12; i += 4) gather_four(g.records + i, point * RECORD, record + i);
+    for (int c = 0; c < 3; ++c)
+        world[c] = lobe.local[0] * at.frame[0][c] + lobe.local[1] * at.frame[1][c] + lobe.local[2] * at.frame[2][c];
+    for (int r = 0; r < 3; ++r)
+        wo[r] = -(record[3 * r] * world[0] + record[3 * r + 1] * world[1] + record[3 * r + 2] * world[2]);
+    there &= wo[2] > 0;
+    if (!any(there)) return;
+    flattened(wo, u, w);
+    const Lanes tilt = least(most(size(wo[2]) * (TILTS - 0.5f) - 0.5f, all(0)), all(TILTS - 1));
+    const Ints row = (whole(tilt + 0.5f) + whole(record[10])) * SENT;
+    for (int i = 0; i < 8; i += 4) gather_four(g.tables + i, row, table + i), gather_four(g.sent + i, point * SENT, sent + i);
+    axis_of(table, wo, u, w, local);
+    const Ints level = clamp(whole(table[3] + 0.5f), LEVELS - 1);
+    hemi_octahedral(local, a, b);
+    const Lanes through = visible(g.all_seen, whole(record[9]) * SEEN, a, b, real(level));
+    for (int c = 0; c < 3; ++c)
+        axis[c] = local[0] * record[c] + local[1] * record[3 + c] + local[2] * record[6 + c];
+    turned(axis, g.turn, d);
+    light_at(g.whole, g.map, d, level, e);
+    for (int c = 0; c < 3; ++c) {
+        const Lanes mean = sent[3 + c], about = mean + through * (e[c] - mean);
+        out[c] = there ? hidden * (sent[c] + table[4 + c] * about) : all(0);
+    }
 }
 
 // Two numbers of four channels, of which the second lies GAP further on, between those at p and those a step further
@@ -135,10 +201,17 @@ static inline void reflect(const Shine &g, int64_t v, const Look &at, int64_t la
     alignas(64) int32_t first[MOST_CELLS][LANES];
     alignas(64) float share[MOST_CELLS][4][LANES];
     int lobes[MOST_CELLS], count = 0;
+    Lanes others[3] = {};
     for (int k = 0; k < g.lobes; ++k) {
         fetch(g, later, k, g.lobes + LANES);
         const Lobe &lobe = at.lobes[k];
-        const Lanes seen = visible(g.seen + v * SEEN, lobe), right = seen * lobe.x;
+        const Lanes seen = visible(g.seen + v * SEEN, lane() * SEEN, lobe.a, lobe.b, lobe.level), right = seen * lobe.x;
+        if (g.meets) {
+            Lanes e[3], w[4];
+            from_points(g, v, at, lobe, 1.0f - seen, e);
+            gather_four(at.rows[0] + COLUMNS * k + 4, lane() * (int)(sizeof *at.rows / sizeof **at.rows), w);
+            for (int c = 0; c < 3; ++c) others[c] += w[c] * e[c];
+        }
         if (!any(seen > 0)) continue;
         const Lanes shares[4] = {seen - right, right, lobe.y, lobe.next};
         std::memcpy(first[count], &lobe.first, sizeof *first), std::memcpy(share[count], shares, sizeof *share);
@@ -158,7 +231,7 @@ static inline void reflect(const Shine &g, int64_t v, const Look &at, int64_t la
         }
         Four halves[2];
         std::memcpy(halves, &sum, sizeof sum);
-        halves[0] += halves[1];
+        halves[0] += halves[1] + Four{others[0][l], others[1][l], others[2][l]};
         std::memcpy(sums[l], halves, sizeof *halves);
     }
 }
@@ -172,7 +245,7 @@ static inline Lanes lit_by(const float *lamp, const Lanes (&frame)[3][3], const 
     if (!any(wi[2] > 0)) return all(0);
     Lanes a, b;
     hemi_octahedral(wi, a, b);
-    return most(wi[2], all(0)) * bits_at(seen, a, b);
+    return most(wi[2], all(0)) * bits_at(seen, lane() * SEEN, a, b);
 }
 
 // What comes of a lamp, added to sums.
@@ -248,9 +321,7 @@ extern "C" int32_t ptt_irradiance(const Irradiance *given) {
             for (int c = 0; c < 3; ++c) sum[c] += g.powers[3 * m + c] * lit;
         }
         for (int l = 0; l < LANES; ++l)
-            for (int c = 0; c < 3; ++c) g.line[3 * (v + l) + c] = sum[c][l];
+            for (int c = 0; c < 3; ++c) g.out[3 * (v + l) + c] = sum[c][l];
     });
-    in_parallel(g.points, g.threads,
-                [=](int64_t p) { std::memcpy(g.out + 3 * p, g.line + 3 * g.place[p], 3 * sizeof(float)); });
     return DONE;
 }

@@ -7,25 +7,43 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from ptt.ops import cells
 from ptt.ops import gloss as plain
+from ptt.ops.cells import Gloss, Lobes
 from ptt.ops.compiling import inlined
-from ptt.ops.constants import BITS, CHANNELS, GROUP, MOST_CELLS, RINGS, SECTORS, TILTS, WIDE_SIDE, WIDEST_SIDE
-from ptt.ops.gloss import Gloss, GlossLight, Lobes
+from ptt.ops.constants import (
+    BITS,
+    CHANNELS,
+    GROUP,
+    LEVELS,
+    MEETS,
+    MOST_CELLS,
+    RECORD,
+    RINGS,
+    SECTORS,
+    SENT,
+    TILTS,
+    WIDE_SIDE,
+    WIDEST_SIDE,
+)
+from ptt.ops.gloss import Around, GlossLight
 from ptt.ops.native.arguments import contiguous, of_type, side, square
 from ptt.ops.native.kernels import run
 from ptt.ops.native.operators import Conditions, operator
 from ptt.ops.view import SurfaceBlocks
 
-
 WORDS = (BITS * BITS // 8 + WIDE_SIDE * WIDE_SIDE + WIDEST_SIDE * WIDEST_SIDE) // 4  # of what a point sees
 
 
 @inlined
-def shine(points: SurfaceBlocks, eye: Tensor, seen: Tensor, gloss: Gloss, light: GlossLight) -> Tensor:
+def shine(
+    points: SurfaceBlocks, eye: Tensor, seen: Tensor, gloss: Gloss, light: GlossLight, around: Around | None = None
+) -> Tensor:
     """B (v, c), as `ptt.ops.gloss.shine`."""
     table, turns = gloss.lobes
+    other = (None,) * len(Around._fields) if around is None else tuple(around)
     result: Tensor = _shine(
-        points.position, points.frame, points.place, eye, seen, table, turns, gloss.values, *light
+        points.position, points.frame, points.place, eye, seen, table, turns, gloss.values, *light, *other
     )
     return result
 
@@ -45,19 +63,21 @@ class _Shine(NamedTuple):
     turn: Tensor
     lamps: Tensor
     powers: Tensor
+    meets: Tensor | None
+    records: Tensor | None
+    sent: Tensor | None
+    all_seen: Tensor | None
+    tables: Tensor | None
+    whole: Tensor | None
 
 
 def _plain(*arguments: Any) -> Tensor:
     g = _Shine(*arguments)
     light = GlossLight(g.maps, g.turn, g.lamps, g.powers)
-    return plain.shine(
-        _points(g.position, g.frame, g.place), g.eye, g.seen, Gloss(Lobes(g.table, g.turns), g.values), light
-    )
-
-
-def _points(position: Tensor, frame: Tensor, place: Tensor) -> SurfaceBlocks:
-    """Points of which neither colour nor cuts matter."""
-    return SurfaceBlocks(position, frame, None, position.new_empty(0), place)
+    points = SurfaceBlocks(g.position, g.frame, None, g.position.new_empty(0), g.place)
+    gloss = Gloss(Lobes(g.table, g.turns), g.values, g.table[:0], sharp=False)
+    around = None if g.meets is None else Around(*arguments[-len(Around._fields) :])
+    return plain.shine(points, g.eye, g.seen, gloss, light, around)
 
 
 def _conditions(*arguments: Any) -> Conditions:
@@ -67,23 +87,39 @@ def _conditions(*arguments: Any) -> Conditions:
     reals = (g.position, g.eye, g.table, g.values, g.maps, g.turn)
     yield of_type(torch.float32, *reals), "points, tables and light must be float32"
     yield contiguous(g.position, g.table, g.values, g.maps), "points, tables and maps must be contiguous"
-    yield from _of_lamps(g.frame, g.place, g.seen, g.lamps, g.powers)
+    yield of_type(torch.int64, g.place) and contiguous(g.place), "place must be int64, contiguous"
+    yield from _of_lamps(g.frame, g.seen, g.lamps, g.powers)
     yield g.turns == 1, "f must be isotropic"
     yield g.position.shape == (3, g.frame.shape[2]), "position must be (3, n)"
     yield g.eye.shape in ((3,), (3, n)), "eye must be (3,) or (3, n)"
     yield g.table.shape == (TILTS, lobes, 7), f"the table of lobes must be ({TILTS}, lobes, 7)"
     yield 0 < lobes <= MOST_CELLS, f"there must be 1..{MOST_CELLS} lobes"
     yield g.values.shape == (TILTS, RINGS, SECTORS, 3), f"values must be ({TILTS}, {RINGS}, {SECTORS}, 3)"
-    yield g.maps.ndim == 3 and len(g.maps) > 1 and g.maps.shape[2] == CHANNELS, "maps must be (levels, cells, 4)"
+    yield g.maps.ndim == 3 and g.maps.shape[::2] == (LEVELS, CHANNELS), f"maps must be ({LEVELS}, cells, 4)"
     yield g.maps.shape[1] > 1 and square(g.maps.shape[1]), "maps must be square"
     yield g.turn.shape == (3, 3), "turn must be (3, 3)"
+    if g.meets is not None:
+        yield from _of_around(g, Around(*arguments[-len(Around._fields) :]))
 
 
-def _of_lamps(frame: Tensor, place: Tensor, seen: Tensor, lamps: Tensor, powers: Tensor) -> Conditions:
+def _of_around(g: _Shine, around: Around) -> Conditions:
+    meets, points, sent, seen, tables, maps = around
+    yield of_type(torch.float32, points, sent, tables, maps), "what lies around must be float32"
+    yield of_type(torch.int32, meets, seen), "what points see, and which points, must be int32"
+    yield contiguous(*around), "what lies around must be contiguous"
+    yield meets.shape == (g.position.shape[1], MEETS * MEETS), f"meets must be (n, {MEETS * MEETS})"
+    yield points.shape == (len(points), RECORD), f"points must be (p, {RECORD})"
+    yield sent.shape == (len(points), SENT), f"what is sent must be (p, {SENT})"
+    yield seen.shape == (len(seen), WORDS), f"what all see must be (s, {WORDS})"
+    yield 4 * WORDS * len(seen) < 2**31, "what all see must have fewer than 2^31 bytes"
+    yield tables.ndim == 2 and tables.shape[1] == SENT, f"tables must be (regions * {TILTS}, {SENT})"
+    yield maps.shape == g.maps.shape, "the maps of the whole light must be as those of the rest"
+
+
+def _of_lamps(frame: Tensor, seen: Tensor, lamps: Tensor, powers: Tensor) -> Conditions:
     yield of_type(torch.float32, frame, lamps, powers), "frames and lamps must be float32"
     yield of_type(torch.int32, seen), "what is seen must be int32"
-    yield of_type(torch.int64, place), "place must be int64"
-    yield contiguous(frame, place, seen), "frames, places and what is seen must be contiguous"
+    yield contiguous(frame, seen), "frames and what is seen must be contiguous"
     n = frame.shape[-1]
     yield frame.shape == (3, 3, n) and n % GROUP == 0, f"frame must be (3, 3, n), n a multiple of {GROUP}"
     yield seen.shape == (n, WORDS), f"what is seen must be (n, {WORDS})"
@@ -106,6 +142,12 @@ def _kernel(*arguments: Any) -> Tensor:
         lamps=g.lamps.contiguous(),
         powers=g.powers.contiguous(),
         seen=g.seen,
+        meets=g.meets,
+        records=g.records,
+        sent=g.sent,
+        all_seen=g.all_seen,
+        tables=g.tables,
+        whole=g.whole,
         place=g.place,
         line=g.position.new_empty(n, 3),
         out=out,
@@ -115,14 +157,14 @@ def _kernel(*arguments: Any) -> Tensor:
         distant=g.eye.ndim == 2,
         lobes=g.table.shape[1],
         map=side(g.maps.shape[1]),
-        levels=len(g.maps),
     )
     return out
 
 
 _shine = operator(
     "shine(Tensor position, Tensor frame, Tensor place, Tensor eye, Tensor seen, Tensor table, int turns, "
-    "Tensor values, Tensor maps, Tensor turn, Tensor lamps, Tensor powers) -> Tensor",
+    "Tensor values, Tensor maps, Tensor turn, Tensor lamps, Tensor powers, Tensor? meets, Tensor? records, Tensor? sent, "
+    "Tensor? all_seen, Tensor? tables, Tensor? whole) -> Tensor",
     plain=_plain,
     kernel=_kernel,
     conditions=_conditions,
@@ -133,41 +175,34 @@ _shine = operator(
 
 
 @inlined
-def irradiance(points: SurfaceBlocks, seen: Tensor, lamps: Tensor, powers: Tensor) -> Tensor:
-    """E (v, c), as `ptt.ops.gloss.irradiance`."""
-    result: Tensor = _irradiance(points.frame, points.place, seen, lamps, powers)
+def irradiance(frame: Tensor, seen: Tensor, lamps: Tensor, powers: Tensor) -> Tensor:
+    """E (n, c), as `ptt.ops.gloss.irradiance`."""
+    result: Tensor = _irradiance(frame, seen, lamps, powers)
     return result
 
 
-def _irradiance_plain(frame: Tensor, place: Tensor, seen: Tensor, lamps: Tensor, powers: Tensor) -> Tensor:
-    return plain.irradiance(_points(frame[0], frame, place), seen, lamps, powers)
-
-
-def _irradiance_kernel(frame: Tensor, place: Tensor, seen: Tensor, lamps: Tensor, powers: Tensor) -> Tensor:
+def _irradiance_kernel(frame: Tensor, seen: Tensor, lamps: Tensor, powers: Tensor) -> Tensor:
     n = frame.shape[2]
-    out = frame.new_empty(len(place), 3)
+    out = frame.new_empty(n, 3)
     run(
         "irradiance",
         frame=frame,
         lamps=lamps.contiguous(),
         powers=powers.contiguous(),
         seen=seen,
-        place=place,
-        line=frame.new_empty(n, 3),
         out=out,
         n=n,
-        points=len(out),
         sources=len(lamps),
     )
     return out
 
 
 _irradiance = operator(
-    "irradiance(Tensor frame, Tensor place, Tensor seen, Tensor lamps, Tensor powers) -> Tensor",
-    plain=_irradiance_plain,
+    "irradiance(Tensor frame, Tensor seen, Tensor lamps, Tensor powers) -> Tensor",
+    plain=lambda *arguments: plain.irradiance(*arguments),
     kernel=_irradiance_kernel,
     conditions=_of_lamps,
-    fake=lambda frame, place, *others: frame.new_empty(len(place), 3),
+    fake=lambda frame, *others: frame.new_empty(frame.shape[2], 3),
 )
 
 # Cells of f cos
@@ -175,7 +210,7 @@ _irradiance = operator(
 
 @inlined
 def cell_sums(mirrored: Tensor, reflected: Tensor, n: int) -> Tensor:
-    """Moments and sums (turns * tilts, n, 6), as `ptt.ops.gloss.cell_sums`."""
+    """Moments and sums (turns * tilts, n, 6), as `ptt.ops.cells.cell_sums`."""
     result: Tensor = _cell_sums(mirrored, reflected, n)
     return result
 
@@ -189,8 +224,8 @@ def _cell_conditions(mirrored: Tensor, reflected: Tensor, n: int) -> Conditions:
 
 def _cell_kernel(mirrored: Tensor, reflected: Tensor, n: int) -> Tensor:
     tilts, _, m = mirrored.shape
-    whole, mass = plain.whole_numbers(mirrored, reflected)
-    centres = torch.stack([plain.first_centres(whole, some, n) for some in mass.split(tilts)])
+    whole, mass = cells.whole_numbers(mirrored, reflected)
+    centres = torch.stack([cells.first_centres(whole, some, n) for some in mass.split(tilts)])
     out = _cell_fake(mirrored, reflected, n)
     run(
         "cell_sums",
@@ -204,9 +239,9 @@ def _cell_kernel(mirrored: Tensor, reflected: Tensor, n: int) -> Tensor:
         tilts=tilts,
         nodes=m,
         cells=n,
-        first=plain.FIRST,
-        rounds=plain.ROUNDS,
-        steps=plain.STEPS,
+        first=cells.FIRST,
+        rounds=cells.ROUNDS,
+        steps=cells.STEPS,
     )
     return out
 
@@ -217,7 +252,7 @@ def _cell_fake(mirrored: Tensor, reflected: Tensor, n: int) -> Tensor:
 
 _cell_sums = operator(
     "cell_sums(Tensor mirrored, Tensor reflected, int n) -> Tensor",
-    plain=lambda *arguments: plain.cell_sums(*arguments),
+    plain=lambda *arguments: cells.cell_sums(*arguments),
     kernel=_cell_kernel,
     conditions=_cell_conditions,
     fake=_cell_fake,

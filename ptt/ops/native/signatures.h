@@ -81,20 +81,21 @@ struct View {
 
 struct Shine {
     const float *position, *frame, *eye, *table, *values, *maps, *turn, *lamps, *powers;
-    const uint8_t *seen;         // of each point bits, then bytes
+    const float *records, *sent, *tables, *whole;  // of what lies around
+    const int32_t *meets;                          // null where nothing does
+    const uint8_t *seen, *all_seen;                // of each point bits, then bytes
     const int64_t *place;
     float *line, *out;           // scratch (n, 3), and (points, 3)
     int64_t n, points, sources;  // sources: lamps
-    int32_t distant, lobes, map, levels;  // map: the side of the grid, with the border
+    int32_t distant, lobes, map;  // map: the side of the grid, with the border
     int32_t threads;
 };
 
 struct Irradiance {
     const float *frame, *lamps, *powers;
     const uint8_t *seen;
-    const int64_t *place;
-    float *line, *out;           // scratch (n, 3), and (points, 3)
-    int64_t n, points, sources;
+    float *out;          // (n, 3)
+    int64_t n, sources;
     int32_t threads;
 };
 

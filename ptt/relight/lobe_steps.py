@@ -1,0 +1,329 @@
+"""The steps of relighting where narrow lobes reflect: light and BRDF for eigen-points, the view for points in blocks.
+
+light   U0[c, e]    = sum over l of  L[c, l] T0[l, e]           U1, U2 alike, and what arrives of lamps
+BRDF    E[v, c]     = U0 + sum over q of  H[c, q] U1[c, q, e]  +  sum of  H[c, q] H[c, q'] U2[c, qq', e], at points
+        D[v, c]     = albedo / pi E[v, c]
+view    B[v, c]     = D[v, c]  and what narrow lobes reflect (`ops.gloss`)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import normalize, pad
+
+from ptt.light.environment import Environment
+from ptt.light.lamps import Lamps
+from ptt.materials.material import Material
+from ptt.materials.varying import SurfaceMaterial, Varying, all_shares
+from ptt.models import slots
+from ptt.models.cache import Cache, watched
+from ptt.models.clustered_transfer import ClusteredTransfer
+from ptt.models.indirect import COARSE, COARSEST
+from ptt.models.transfer_model import TransferModel
+from ptt.ops.cells import Gloss, gloss_of, width
+from ptt.ops.compiling import in_python, opaque, uncompiled
+from ptt.ops.constants import LEVELS, RECORD, SENT, TILTS
+from ptt.ops.gloss import Around, GlossLight
+from ptt.ops.relight import expand
+from ptt.ops.view import SurfaceBlocks
+from ptt.relight.cluster_steps import RegionPoints, slot_weights
+from ptt.relight.light_step import LightStep, SplitLight
+from ptt.relight.operations import operations
+
+WIDTHS = (0.0, *(width(level) for level in range(1, LEVELS)))
+"""Degrees that lobes cover, by their levels; the first is as narrow as the maps are."""
+OPEN = 0.02  # of the hemisphere: what a point sees of surfaces counts as at least as much where their mean is taken
+
+
+class ArrivingIrradiance(NamedTuple):
+    """At the eigen-points of a region, of the light without lamps (k, c, e), by slots (k, c, q, e), and by pairs of them."""
+
+    direct: Tensor
+    one: Tensor
+    two: Tensor
+
+
+class LobeLight(NamedTuple):
+    """Under one light: what arrives in every region, and of lamps at its points in blocks (n, c), and the light itself."""
+
+    arriving: list[ArrivingIrradiance]
+    of_lamps: list[Tensor | None]
+    split: SplitLight
+
+
+class LobeLayer(NamedTuple):
+    """A layer of a region's material: albedo over pi (c,), its lobes, None where it is dull, and how much of it there is at
+    the region's points in blocks (n, c), None for all."""
+
+    albedo: Tensor
+    gloss: Gloss | None
+    share: Tensor | None
+
+
+class LobeMaterial(NamedTuple):
+    """A region's material: its part of H (1 + p + 1, c), its layers, the base colour (n, c) of its points, None for white,
+    and all of it that is glossy as one lobe (TILTS, SENT)."""
+
+    functions: Tensor
+    layers: list[LobeLayer]
+    colour: Tensor | None
+    whole: Tensor
+
+
+class LobeRegion(NamedTuple):
+    """With materials and light: a region's points, what is dull (v, c), what is glossy, each with its share (v, c), and what
+    lies around, None where no light bounces."""
+
+    surface: SurfaceBlocks
+    dull: Tensor
+    layers: list[tuple[Gloss, GlossLight, Tensor | None]]
+    around: Around | None
+
+
+@in_python
+class LobeSteps(nn.Module):
+    """Light, BRDF and view step of a model whose highlights are narrow lobes, so many of each material."""
+
+    rows: Tensor
+    keep: Tensor
+    points: Tensor
+    seen: Tensor
+
+    def __init__(self, model: TransferModel, compiled: bool, lobes: int) -> None:
+        super().__init__()
+        assert model.basis is not None
+        self.model = model
+        self.basis = model.basis
+        self.count = lobes
+        self.light = LightStep(model.grid, WIDTHS, compiled, lamps=True)
+        self._operations = operations(compiled)
+        own = [slice(first, end) for first, end in model.receivers.spans]
+        regions = [
+            RegionPoints(region, model.positions[rows], model.frames[rows], model.colours[rows])
+            for region, rows in zip(model.clustered, own, strict=True)
+        ]
+        self.regions = nn.ModuleList(regions)
+        self.own = own
+        rows, keep = slots.chosen(model.slots, model.basis.table.shape[1])
+        seen = [region.seen for region in model.clustered]
+        tensors = {
+            "rows": rows,
+            "keep": keep,
+            "points": self._records(),
+            "seen": seen[0] if len(seen) == 1 else torch.cat(seen),
+        }
+        for name, tensor in tensors.items():
+            self.register_buffer(name, tensor, persistent=False)
+        self._hidden = [1 - sky for sky in self._sky()]
+        self._materials = [Cache() for _ in model.clustered]
+
+    def _records(self) -> Tensor:
+        """The points as others see them (v, RECORD) (`ops.gloss.Around`)."""
+        places = []
+        first = 0
+        for r, region in enumerate(self.model.clustered):
+            tables = torch.full_like(region.place, r * TILTS)
+            places.append(torch.stack((first + region.place, tables), 1))
+            first += len(region.cluster) * region.weights.shape[2]
+        record = torch.cat((self.model.frames.flatten(1), torch.cat(places).to(self.model.frames)), 1)
+        return pad(record, (0, RECORD - record.shape[1]))
+
+    def _sky(self) -> list[Tensor]:
+        """The share of the hemisphere, by cosine, in which points in blocks (n, 1) of each region see the sky."""
+        light = self.light(Environment.constant(1.0)).flatten(1)[:1].expand(3, -1)
+        parts = []
+        for region in self.model.clustered:
+            even = self._operations.light_eigen(region.direct, light, region.columns)
+            parts.append(self._at_points(region, even[..., None])[:, :1, 0] / math.pi)
+        return [part.clamp(0, 1 - OPEN) for part in parts]
+
+    @staticmethod
+    def _at_points(region: ClusteredTransfer, eigen: Tensor) -> Tensor:
+        """Of values (k, c, e, x) of eigen-points those of points in blocks (n, c, x)."""
+        return expand(eigen, region.weights, region.cluster).values.movedim(3, 1).flatten(0, 1)
+
+    @uncompiled
+    def incident(self, environment: Environment) -> LobeLight:
+        """The light step."""
+        split = self.light.with_lobes(environment)
+        light = split.whole.light
+        fine = split.rest.light.flatten(1)
+        coarse = light[..., :COARSE, :COARSE].flatten(1)
+        coarsest = light[..., :COARSEST, :COARSEST].flatten(1)
+        arriving = [self._arriving(region, fine, coarse, coarsest) for region in self.model.clustered]
+        return LobeLight(arriving, [self._of_lamps(r, split.lamps) for r in range(len(arriving))], split)
+
+    def _arriving(
+        self, region: ClusteredTransfer, fine: Tensor, coarse: Tensor, coarsest: Tensor
+    ) -> ArrivingIrradiance:
+        """What arrives at a region's eigen-points, of lighting (c, l) at three resolutions."""
+        light_eigen = self._operations.light_eigen
+        e = region.eigenvectors
+        direct = light_eigen(region.direct, fine, region.columns)
+        one = light_eigen(region.one, light_eigen(region.lighting, coarse)).unflatten(2, (len(region.slots), e))
+        two = light_eigen(region.two, coarsest).unflatten(2, (len(region.pairs), e))
+        return ArrivingIrradiance(direct, one, two)
+
+    def _of_lamps(self, region: int, lamps: Lamps) -> Tensor | None:
+        """What arrives of lamps at a region's points in blocks (n, c); None without lamps."""
+        if not len(lamps.directions):
+            return None
+        irradiance: Tensor = self._operations.irradiance(
+            self.regions[region].frame, self.model.clustered[region].seen, *lamps
+        )
+        return irradiance
+
+    @opaque
+    def materials(self, materials: Sequence[SurfaceMaterial]) -> list[LobeMaterial]:
+        """From the materials of all regions to tables, made anew only where a material changed."""
+        buffers = watched(self.model.brdf, self.basis)
+        return [
+            cache((material, buffers), partial(self._material, region, material))
+            for region, (cache, material) in enumerate(zip(self._materials, materials, strict=True))
+        ]
+
+    def _material(self, region: int, material: SurfaceMaterial) -> LobeMaterial:
+        own = self.model.receivers.materials[self.model.receivers.names[region]]
+        if not isinstance(material, Material):
+            return self._varying(region, material, own)
+        coloured = self.model.brdf.space.coloured(material)
+        functions = slots.functions_of(self.basis, material, coloured, not isinstance(own, Material))
+        layer = self._layer(material, None)
+        colour = self.regions[region].colour
+        return LobeMaterial(functions, [layer], None if colour is None else colour.T, _whole([layer], [1.0]))
+
+    def _varying(self, region: int, material: Varying, own: SurfaceMaterial) -> LobeMaterial:
+        """The tables of a material that varies: the layers of which there are some, each with its shares."""
+        at = self.model.receivers.layers_at(region, material)
+        shares = all_shares(material, at).to(self.basis.table)
+        blocks = self.model.clustered[region]
+        layers = []
+        means = []
+        for layer, share in zip(material.layers, shares, strict=True):
+            if bool((share > 0).any()):
+                layers.append(self._layer(layer, blocks.in_line(share).T))
+                means.append(share.mean(0))
+        if material is own:
+            functions = slots.whole_of(self.basis)
+        else:
+            colours = self.model.colours[self.own[region]]
+            tint = at.colour.mean(0).to(colours) / colours.mean(0).clamp(min=1e-6)
+            functions = slots.mean_of(self.basis, material.layers, shares, tint, not isinstance(own, Material))
+        return LobeMaterial(functions, layers, blocks.in_line(at.colour.to(shares)).T, _whole(layers, means))
+
+    def _layer(self, material: Material, share: Tensor | None) -> LobeLayer:
+        albedo = material.diffuse.to(self.basis.table) / math.pi
+        if not material.shining:
+            return LobeLayer(albedo, None, share)
+        made = gloss_of(material.glossy, material.isotropic, self.count, self._operations.cell_sums)
+        lobes = made.lobes._replace(table=made.lobes.table.to(albedo))
+        return LobeLayer(albedo, made._replace(lobes=lobes, values=made.values.to(albedo)), share)
+
+    @uncompiled
+    def exitant(self, light: LobeLight, materials: Sequence[Material]) -> list[LobeRegion]:
+        """The BRDF step."""
+        tables = self.materials(materials)
+        functions = [material.functions for material in tables]
+        pairs = [points.pairs for points in self.regions]
+        h = slot_weights(functions, self.rows, self.keep, [points.slots for points in self.regions], pairs)
+        dull = []
+        sent = []
+        for r, (material, weights) in enumerate(zip(tables, h, strict=True)):
+            diffuse, to_others = self._diffuse(r, light, material, *weights)
+            place = self.model.clustered[r].place
+            dull.append(diffuse[place])
+            sent.append(to_others[place])
+        around = self._around(light, tables, torch.cat(sent)) if self.model.bounces else None
+        return [
+            LobeRegion(self._surface(r), dull[r], self._lit(r, material, light.split), self._for(r, around))
+            for r, material in enumerate(tables)
+        ]
+
+    def _diffuse(
+        self, region: int, light: LobeLight, material: LobeMaterial, h: Tensor, pairs: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """What points in blocks send out diffusely (n, c), and what others see of them (n, 2 c) (`ops.gloss.Around`): of
+        light that bounced once less, of H (c, q) and its products (c, pairs)."""
+        direct, one, two = light.arriving[region]
+        once = math.sqrt(math.pi) * (h[:, None] @ one)[:, :, 0]
+        twice = math.sqrt(math.pi) * (pairs[:, None] @ two)[:, :, 0]
+        before = once if self.model.bounces == 2 else torch.zeros_like(once)
+        eigen = torch.stack((direct + once + twice, direct + before, before), 3)
+        whole, less, bounced = self._at_points(self.model.clustered[region], eigen).unbind(2)
+        albedo = sum(_some(layer.albedo, layer.share) for layer in material.layers)
+        albedo = albedo if material.colour is None else albedo * material.colour
+        lamps = light.of_lamps[region]
+        diffuse = [albedo * (each if lamps is None else each + lamps) for each in (whole, less)]
+        mean = bounced.clamp(min=0) / (math.pi * self._hidden[region])
+        return diffuse[0], torch.cat((diffuse[1], mean), 1)
+
+    def _around(self, light: LobeLight, materials: Sequence[LobeMaterial], sent: Tensor) -> Around:
+        """What all points may see, for none of them yet."""
+        tables = torch.cat([material.whole for material in materials])
+        none = self.model.clustered[0].meets[:0]
+        return Around(
+            none, self.points, pad(sent, (0, SENT - sent.shape[1])), self.seen, tables, light.split.whole.maps
+        )
+
+    def _for(self, region: int, around: Around | None) -> Around | None:
+        return None if around is None else around._replace(meets=self.model.clustered[region].meets)
+
+    def _surface(self, region: int) -> SurfaceBlocks:
+        points, own = self.regions[region], self.model.clustered[region]
+        return SurfaceBlocks(points.position, points.frame, None, own.cuts, own.place)
+
+    def _lit(
+        self, region: int, material: LobeMaterial, light: SplitLight
+    ) -> list[tuple[Gloss, GlossLight, Tensor | None]]:
+        """The lobes of a region, each with its light and share (v, c)."""
+        place = self.model.clustered[region].place
+        return [
+            (layer.gloss, _light_for(layer.gloss, light), None if layer.share is None else layer.share[place])
+            for layer in material.layers
+            if layer.gloss is not None
+        ]
+
+    def radiance(self, exitant: Sequence[LobeRegion], eye: Tensor) -> Tensor:
+        """The view step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
+        return torch.cat([self._radiance(r, region, eye) for r, region in enumerate(exitant)])
+
+    def _radiance(self, r: int, region: LobeRegion, eye: Tensor) -> Tensor:
+        own = self.model.clustered[r]
+        at = eye if eye.ndim == 1 else own.in_line(eye[self.own[r]])
+        out = region.dull
+        for gloss, light, share in region.layers:
+            shining = self._operations.shine(region.surface, at, own.seen, gloss, light, region.around)
+            out = out + _some(shining, share)
+        return out
+
+
+def _light_for(gloss: Gloss, light: SplitLight) -> GlossLight:
+    """The light of a material's narrow lobes: a sharp one sees lamps as they are on the maps, areas or not."""
+    if gloss.sharp:
+        return GlossLight(light.whole.maps, light.whole.turn, *Lamps.none(light.whole.turn))
+    return GlossLight(light.rest.maps, light.rest.turn, *light.lamps)
+
+
+def _some(values: Tensor, share: Tensor | None) -> Tensor:
+    return values if share is None else values * share
+
+
+def _whole(layers: Sequence[LobeLayer], shares: Sequence[Tensor | float]) -> Tensor:
+    """What is glossy of layers, by mean shares (c,), as one lobe (TILTS, SENT)."""
+    tables = [
+        (layer.gloss.whole, share) for layer, share in zip(layers, shares, strict=True) if layer.gloss is not None
+    ]
+    if not tables:
+        return layers[0].albedo.new_zeros(TILTS, SENT)
+    if len(tables) == 1 and isinstance(tables[0][1], float):
+        return tables[0][0]
+    weights = torch.stack([table[:, 4:7] * share for table, share in tables])  # shape: (k, t, c)
+    mass = weights.sum(2, keepdim=True)
+    lobes = (torch.stack([table[:, :4] for table, _ in tables]) * mass).sum(0) / mass.sum(0).clamp(min=1e-30)
+    return pad(torch.cat((normalize(lobes[:, :3], dim=1), lobes[:, 3:], weights.sum(0)), 1), (0, 1))
