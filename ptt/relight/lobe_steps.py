@@ -28,7 +28,7 @@ from ptt.models.indirect import COARSE, COARSEST
 from ptt.models.transfer_model import TransferModel
 from ptt.ops.cells import Gloss, gloss_of, width
 from ptt.ops.compiling import in_python, opaque, uncompiled
-from ptt.ops.constants import LEVELS, RECORD, SENT, TILTS
+from ptt.ops.constants import LEVELS, RECORD, SENT, TILTS, TINY
 from ptt.ops.gloss import Around, GlossLight
 from ptt.ops.relight import expand
 from ptt.ops.view import SurfaceBlocks
@@ -319,11 +319,13 @@ def _whole(layers: Sequence[LobeLayer], shares: Sequence[Tensor | float]) -> Ten
     tables = [
         (layer.gloss.whole, share) for layer, share in zip(layers, shares, strict=True) if layer.gloss is not None
     ]
+    albedo = layers[0].albedo
+    mirror = torch.cat((albedo.new_tensor([0.0, 0.0, 1.0]), albedo.new_zeros(SENT - 3))).expand(TILTS, -1)
     if not tables:
-        return layers[0].albedo.new_zeros(TILTS, SENT)
+        return mirror
     if len(tables) == 1 and isinstance(tables[0][1], float):
         return tables[0][0]
     weights = torch.stack([table[:, 4:7] * share for table, share in tables])  # shape: (k, t, c)
-    mass = weights.sum(2, keepdim=True)
-    lobes = (torch.stack([table[:, :4] for table, _ in tables]) * mass).sum(0) / mass.sum(0).clamp(min=1e-30)
+    mass = weights.sum(2, keepdim=True).clamp(min=TINY)
+    lobes = (torch.stack([table[:, :4] for table, _ in tables]) * mass).sum(0) / mass.sum(0)
     return pad(torch.cat((normalize(lobes[:, :3], dim=1), lobes[:, 3:], weights.sum(0)), 1), (0, 1))

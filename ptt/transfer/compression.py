@@ -27,7 +27,7 @@ def compress(
     clusters: Clusters | None = Clusters(),  # noqa: B008 (frozen)
     *,
     editable: Sequence[SurfaceMaterial | BRDFSpace] = (),
-    highlights: Highlights = "tensor",
+    highlights: Highlights | None = None,
     max_memory: float = 10e9,
     progress: bool = False,
 ) -> TransferModel:
@@ -41,8 +41,10 @@ def compress(
     clusters: how points share eigen-points; None keeps every point's own T0, for direct light alone and without lobes:
         exact, but 10 to 100 times as large and as slow to light anew
     editable: materials and spaces that shall be shown too; printing the model tells what it shows
-    highlights: how points reflect direct light glossily: "lobes", narrow ones made for each material, which hold for
-        dull ones and for smooth metals; or "tensor", the BRDF tensor and its lobes, as in the paper
+    highlights: how points reflect glossily: "lobes", narrow ones made for each material, which hold for plastics and
+        metals alike (docs/metals.md); or "tensor", the BRDF tensor and its lobes, as in the paper, three to five times as
+        fast. Default: lobes; the tensor where `brdf` is given, where there are no clusters, and for brushed shapes, for
+        which lobes have no kernel yet
     max_memory: bytes that may be in use
     progress: show bars with the rate and the time left
 
@@ -54,13 +56,15 @@ def compress(
 
     Sun et al. 2007, sections 3.3 and 4.3; Ng et al. 2003 for the weighting by area.
     """
-    if highlights not in get_args(Highlights):
+    if highlights not in (*get_args(Highlights), None):
         raise ValueError(f"highlights must be one of {', '.join(get_args(Highlights))}, got {highlights!r}")
     if clusters is None and highlights == "lobes":
         raise ValueError('highlights="lobes" needs clusters, got None')
     if clusters is None and raw.bounces:
         raise ValueError("light that bounces needs clusters, got None")
     own = raw.receivers
+    if highlights is None and (brdf is not None or clusters is None):
+        highlights = "tensor"
     if brdf is None:
         space = BRDFSpace.holding([*own.materials.values(), *editable])
         _check_shown(space, own.materials)
@@ -68,6 +72,7 @@ def compress(
     elif editable:
         raise ValueError("editable is for the brdf that is made here: fit the given one to BRDFSpace.holding(...)")
     _check_shown(brdf.space, {n: own.materials[n] for n, may in zip(own.names, own.editable, strict=True) if not may})
+    highlights = highlights or ("lobes" if brdf.space.isotropic else "tensor")
     if clusters is not None:
         basis = basis or BRDFBasis.fit(brdf.space)
         transfer = assemble(

@@ -11,8 +11,8 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from ptt.materials.shapes import GGX, Analytic, BlinnPhong, CookTorrance, Ward
-from ptt.ops import gloss
-from ptt.ops.constants import BITS, LEVELS
+from ptt.ops import cells, gloss
+from ptt.ops.constants import BITS, LEVELS, MEETS, RECORD, SENT, TILTS
 from ptt.ops.octahedral import HemiOctahedral, Octahedral, bordered
 from ptt.ops.view import SurfaceBlocks
 
@@ -27,7 +27,7 @@ SHAPES: list[Analytic] = [
 ]
 
 
-def grey(shape: Analytic) -> gloss.Reflects:
+def grey(shape: Analytic) -> cells.Reflects:
     return lambda wi, wo: shape.evaluate(wi, wo)[..., None].expand(*wi.shape[:-1], 3)
 
 
@@ -90,7 +90,7 @@ def dense(shape: Analytic, wo: Tensor, weight: Callable[[Tensor], Tensor]) -> fl
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_constant_light_is_reflected_as_the_albedo(shape: Analytic) -> None:
     """To 1 % from 0 to 80 degrees, 3 % to 87: the weights are sums of f cos over cells that hold every node."""
-    tables = [gloss.gloss_of(grey(shape), True, n) for n in (1, 16, 40)]
+    tables = [cells.gloss_of(grey(shape), True, n) for n in (1, 16, 40)]
     even = light_of(lambda d: torch.ones(len(d)))
     for degrees in (0.0, 20.0, 45.0, 60.0, 75.0, 80.0, 84.0, 87.0):
         wo = tilted(degrees, 30.0, 16)
@@ -114,7 +114,7 @@ def test_a_sky_over_a_wall(shape: Analytic, degrees: float) -> None:
         return 1 + 0.7 * d[:, 0] + 0.5 * d[:, 1] * d[:, 2]
 
     got = gloss.shine(
-        points(16, seen)[0], wo, points(16, seen)[1], gloss.gloss_of(grey(shape), True, 16), light_of(sky)
+        points(16, seen)[0], wo, points(16, seen)[1], cells.gloss_of(grey(shape), True, 16), light_of(sky)
     )
     expected = dense(shape, wo[:, 0], lambda d: sky(d) * seen(d))
     assert float(got[0, 0]) == pytest.approx(expected, rel=0.08)
@@ -122,7 +122,7 @@ def test_a_sky_over_a_wall(shape: Analytic, degrees: float) -> None:
 
 @pytest.mark.parametrize("shape", [GGX(1.0, 0.1), GGX(0.04, 0.3), CookTorrance(0.4, 0.2), Ward(0.3, 0.15)], ids=str)
 def test_a_lamp_is_reflected_by_f_itself(shape: Analytic) -> None:
-    tables = gloss.gloss_of(grey(shape), shape.isotropic, 8)
+    tables = cells.gloss_of(grey(shape), shape.isotropic, 8)
     off = torch.tensor([[0.0, 0.0], [0.01, 0.005], [-0.03, 0.04], [0.2, -0.1], [0.4, 0.3]])
     black = light_of(lambda d: torch.zeros(len(d)))
     for degrees in (0.0, 30.0, 60.0, 78.0):
@@ -144,11 +144,11 @@ def test_a_turn_about_the_normal_exchanges_slopes() -> None:
     wo = tilted(50.0, 20.0, 16)
     sky = light_of(lambda d: (4 * d[:, 0]).exp())
     turned = light_of(lambda d: (4 * d[:, 1]).exp())
-    one = gloss.shine(*_at(wo), gloss.gloss_of(grey(Ward(0.1, 0.4)), False, 16), sky)
-    other = gloss.shine(*_at(tilted(50.0, 110.0, 16)), gloss.gloss_of(grey(Ward(0.4, 0.1)), False, 16), turned)
+    one = gloss.shine(*_at(wo), cells.gloss_of(grey(Ward(0.1, 0.4)), False, 16), sky)
+    other = gloss.shine(*_at(tilted(50.0, 110.0, 16)), cells.gloss_of(grey(Ward(0.4, 0.1)), False, 16), turned)
     assert torch.allclose(one, other, rtol=0.02)
     assert not torch.allclose(
-        one, gloss.shine(*_at(wo), gloss.gloss_of(grey(Ward(0.4, 0.1)), False, 16), sky), rtol=0.05
+        one, gloss.shine(*_at(wo), cells.gloss_of(grey(Ward(0.4, 0.1)), False, 16), sky), rtol=0.05
     )
 
 
@@ -161,7 +161,7 @@ def test_an_eye_and_directions_to_it_are_the_same() -> None:
     blocks, bits = points(16)
     blocks = blocks._replace(position=torch.rand(3, 16))
     eye = torch.tensor([0.3, 2.0, 4.0])
-    tables, sky = gloss.gloss_of(grey(GGX(1.0, 0.3)), True, 16), light_of(lambda d: 1 + d[:, 0])
+    tables, sky = cells.gloss_of(grey(GGX(1.0, 0.3)), True, 16), light_of(lambda d: 1 + d[:, 0])
     wo = normalize(eye[:, None] - blocks.position, dim=0)
     assert torch.allclose(gloss.shine(blocks, eye, bits, tables, sky), gloss.shine(blocks, wo, bits, tables, sky))
 
@@ -171,7 +171,7 @@ def test_derivatives_reach_colour_and_shape() -> None:
     roughness = torch.tensor(0.4, requires_grad=True)
     shape = GGX(1.0, roughness)
     lit = gloss.shine(
-        *_at(tilted(50.0, 0.0, 16)), gloss.gloss_of(grey(shape), True, 16), light_of(lambda d: torch.ones(len(d)))
+        *_at(tilted(50.0, 0.0, 16)), cells.gloss_of(grey(shape), True, 16), light_of(lambda d: torch.ones(len(d)))
     )
     (got,) = torch.autograd.grad(lit[0, 0], roughness)
     high, low = (dense(GGX(1.0, r), tilted(50.0)[:, 0], lambda d: torch.ones(len(d))) for r in (0.41, 0.39))
@@ -180,8 +180,8 @@ def test_derivatives_reach_colour_and_shape() -> None:
 
 def test_octaves_are_linear_between_powers_of_two() -> None:
     x = torch.tensor([1.0, 1.5, 2.0, 3.0, 0.25, 1e-6], dtype=torch.float64)
-    assert gloss.octaves(x)[:5].tolist() == [0.0, 0.5, 1.0, 1.5, -2.0]
-    assert torch.allclose(gloss.octaves_back(gloss.octaves(x)), x)
+    assert cells.octaves(x)[:5].tolist() == [0.0, 0.5, 1.0, 1.5, -2.0]
+    assert torch.allclose(cells.octaves_back(cells.octaves(x)), x)
 
 
 def test_irradiance_of_lamps_is_power_times_cosine() -> None:
@@ -190,4 +190,58 @@ def test_irradiance_of_lamps_is_power_times_cosine() -> None:
     lamps = normalize(torch.tensor([[0.5, 0.1, 1.0], [-0.6, 0.2, 1.0], [0.3, 0.0, -1.0], [0.2, 0.9, 0.3]]), dim=1)
     powers = torch.rand(4, 3, generator=torch.Generator().manual_seed(2))
     expected = powers[0] * lamps[0, 2] + powers[3] * lamps[3, 2]
-    assert torch.allclose(gloss.irradiance(blocks, seen, lamps, powers), expected.expand(16, 3))
+    assert torch.allclose(gloss.irradiance(blocks.frame, seen, lamps, powers), expected.expand(16, 3))
+
+
+def ceiling(sent: Tensor, table: Tensor, seen: Tensor) -> gloss.Around:
+    """One point that looks down, and that 16 points see wherever the sky is hidden."""
+    record = torch.zeros(1, RECORD)
+    record[0, :9] = torch.tensor([1.0, 0, 0, 0, -1, 0, 0, 0, -1])
+    sky = light_of(lambda d: torch.where(d[:, 2] < 0, 2.0, 0.0))  # from below
+    meets = torch.zeros(16, MEETS * MEETS, dtype=torch.int32)
+    return gloss.Around(meets, record, sent[None], seen[:1], table.repeat(TILTS, 1), sky.maps)
+
+
+@pytest.mark.parametrize("shape", [GGX(1.0, 0.1), GGX(1.0, 0.6), GGX(0.04, 0.3)], ids=str)
+@pytest.mark.parametrize("degrees", [0.0, 50.0, 78.0])
+def test_a_ceiling_is_reflected(shape: Analytic, degrees: float) -> None:
+    """By the albedo: what it sends diffusely; of a mirror in it half of the light from below; where the ceiling sees
+    nothing but surfaces, half of their mean."""
+    wo = tilted(degrees, 40.0, 16)
+    blocks, nothing = points(16, lambda d: d[:, 2] > 2)
+    everything = points(16)[1]
+    tables = cells.gloss_of(grey(shape), True, 16)
+    dark = light_of(lambda d: torch.zeros(len(d)))
+    albedo = dense(shape, wo[:, 0], lambda d: torch.ones(len(d)))
+    dull = torch.tensor([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    mean = torch.tensor([0.0, 0.0, 0.0, 0.3, 0.2, 0.1, 0.0, 0.0])
+    half = torch.tensor([0.0, 0.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.0])
+    for sent, table, seen, expected in (
+        (dull, torch.nn.functional.pad(half[:3], (0, 5)), everything, [albedo, 2 * albedo, 3 * albedo]),
+        (0 * dull, half, everything, [albedo, albedo, albedo]),
+        (mean, half, nothing, [0.15 * albedo, 0.1 * albedo, 0.05 * albedo]),
+        (dull + mean, half, everything, [2 * albedo, 3 * albedo, 4 * albedo]),
+    ):
+        got = gloss.shine(blocks, wo, nothing, tables, dark, ceiling(sent, table, seen))[0]
+        assert got.tolist() == pytest.approx(expected, rel=0.02)
+
+
+def test_a_ceiling_that_looks_away_or_is_not_there_sends_nothing() -> None:
+    blocks, nothing = points(16, lambda d: d[:, 2] > 2)
+    tables = cells.gloss_of(grey(GGX(1.0, 0.3)), True, 16)
+    dark = light_of(lambda d: torch.zeros(len(d)))
+    around = ceiling(torch.ones(SENT), torch.ones(SENT), points(16)[1])
+    away = around._replace(points=around.points * torch.tensor([1.0] * 6 + [-1.0] * 3 + [1.0] * 7))
+    none = around._replace(meets=around.meets - 1)
+    for other in (away, none):
+        assert not gloss.shine(blocks, tilted(30.0, 0.0, 16), nothing, tables, dark, other).any()
+
+
+def test_what_sees_the_sky_sees_no_ceiling() -> None:
+    blocks, everything = points(16)
+    tables = cells.gloss_of(grey(GGX(1.0, 0.3)), True, 16)
+    sky = light_of(lambda d: 1 + d[:, 0])
+    around = ceiling(torch.ones(SENT), torch.ones(SENT), everything)
+    wo = tilted(30.0, 0.0, 16)
+    alone = gloss.shine(blocks, wo, everything, tables, sky)
+    assert torch.allclose(gloss.shine(blocks, wo, everything, tables, sky, around), alone, atol=1e-6)

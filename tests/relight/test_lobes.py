@@ -109,6 +109,49 @@ def test_derivatives_reach_colours(model: ptt.TransferModel, sky: ptt.Environmen
     assert torch.allclose(got, (more - lit.detach().sum(0)), rtol=1e-3)
 
 
+@pytest.fixture(scope="module")
+def bounced(scene: ptt.Scene) -> ptt.TransferModel:
+    """With two bounces, and gold of any roughness as the ball."""
+    return ptt.compress(ptt.precompute(scene, bounces=2, rays=256))
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.6])
+def test_metals_see_what_lies_around(
+    scene: ptt.Scene, bounced: ptt.TransferModel, sky: ptt.Environment, roughness: float
+) -> None:
+    """Within 10 % of the reference, its noise taken out, where light that bounced is a third; nothing is negative."""
+    materials = scene.materials | {"ball": ptt.ggx(0.0, 1.0, GOLD, roughness)}
+    rows = facing(scene)
+    wo = torch.nn.functional.normalize(EYE - scene.points[rows], dim=1)
+    points = ptt.reference.vertex_points(scene).take(rows)
+    truth = ptt.reference.radiance(scene, sky, materials, points, wo, bounces=2, samples=512)
+    got = ptt.TransferRelighter(bounced, compiled=False)(sky, materials, EYE)
+    assert bool((got >= -1e-3 * got.mean()).all())
+    excess = (got[rows] - truth.mean).square().mean() - truth.standard_error.square().mean()
+    assert float(excess.clamp(min=0).sqrt()) < 0.1 * float(truth.mean.square().mean().sqrt())
+
+
+def test_light_that_bounced_is_the_same_by_kernels_and_from_a_file(
+    bounced: ptt.TransferModel, sky: ptt.Environment, tmp_path: Path
+) -> None:
+    bounced.save(tmp_path / "model.safetensors")
+    loaded = ptt.TransferModel.load(tmp_path / "model.safetensors")
+    plain = ptt.TransferRelighter(bounced, compiled=False)(sky, {}, EYE)
+    assert torch.equal(ptt.TransferRelighter(loaded, compiled=False)(sky, {}, EYE), plain)
+    kernels = ptt.TransferRelighter(bounced)(sky, {}, EYE)
+    assert torch.allclose(plain, kernels, rtol=0, atol=5e-4 * float(plain.max()))
+
+
+def test_a_furnace_with_surfaces_around(scene: ptt.Scene, bounced: ptt.TransferModel) -> None:
+    """Under light of 1 from everywhere, a ball that reflects all of it sends no more than 1, and close to what the walls
+    and the sky send it."""
+    mirror = {"ball": ptt.ggx(0.0, 1.0, 1.0, 0.3)}
+    got = ptt.TransferRelighter(bounced, compiled=False)(ptt.Environment.constant(1.0), mirror, EYE)
+    rows = facing(scene)
+    assert 0.6 < float(got[rows].mean()) < 1
+    assert float(got[rows].max()) < 1.05
+
+
 def test_what_does_not_go_together_is_refused(raw: ptt.RawTransfer, model: ptt.TransferModel) -> None:
     with pytest.raises(ValueError, match="highlights must be one of lobes, tensor"):
         ptt.compress(raw, highlights="gloss")  # type: ignore[arg-type]

@@ -10,10 +10,11 @@ import torch
 from torch import Tensor
 
 from ptt.materials.shapes import GGX, Analytic, Ward
+from ptt.ops import cells, native
 from ptt.ops import gloss as plain
-from ptt.ops import native
-from ptt.ops.constants import LEVELS, RINGS, SECTORS, TILTS
-from ptt.ops.gloss import Gloss, GlossLight, Lobes
+from ptt.ops.cells import Gloss, Lobes
+from ptt.ops.constants import LEVELS, MEETS, RECORD, RINGS, SECTORS, SENT, TILTS
+from ptt.ops.gloss import Around, GlossLight
 from ptt.ops.native.glossing import WORDS
 from ptt.ops.view import SurfaceBlocks
 
@@ -24,6 +25,7 @@ class Inputs(NamedTuple):
     seen: Tensor
     gloss: Gloss
     light: GlossLight
+    around: Around | None = None
 
 
 def inputs(
@@ -49,7 +51,7 @@ def inputs(
     maps[..., 3] = 0
     light = GlossLight(maps, rotations(1, g)[0].contiguous(), directions(lamps, g), torch.rand(lamps, 3, generator=g))
     eye = directions(n, g).T.contiguous() if distant else torch.ones(3)
-    return Inputs(points, eye, words(n, WORDS, g), Gloss(Lobes(table, turns), values), light)
+    return Inputs(points, eye, words(n, WORDS, g), Gloss(Lobes(table, turns), values, table[:0], sharp=False), light)
 
 
 def words(n: int, count: int, g: torch.Generator) -> Tensor:
@@ -67,8 +69,22 @@ def rotations(n: int, g: torch.Generator) -> Tensor:
 
 def in_double(x: Inputs) -> Inputs:
     points = x.points._replace(position=x.points.position.double(), frame=x.points.frame.double())
-    gloss = Gloss(Lobes(x.gloss.lobes.table.double(), x.gloss.lobes.turns), x.gloss.values.double())
-    return Inputs(points, x.eye.double(), x.seen, gloss, GlossLight(*(t.double() for t in x.light)))
+    gloss = x.gloss._replace(
+        lobes=x.gloss.lobes._replace(table=x.gloss.lobes.table.double()), values=x.gloss.values.double()
+    )
+    around = x.around and Around(*(t.double() if t.is_floating_point() else t for t in x.around))
+    return Inputs(points, x.eye.double(), x.seen, gloss, GlossLight(*(t.double() for t in x.light)), around)
+
+
+def surroundings(n: int, p: int, g: torch.Generator) -> Around:
+    """Of noise, but for the rows of a region's table, which are alike, so that rounding chooses none of them."""
+    meets = torch.randint(-1, p, (n, MEETS * MEETS), generator=g).int()
+    numbers = torch.stack((torch.randint(7, (p,), generator=g), TILTS * torch.randint(3, (p,), generator=g)), 1)
+    records = torch.cat((rotations(p, g).flatten(1), numbers.float(), torch.zeros(p, RECORD - 11)), 1)
+    rows = torch.cat((directions(3, g), torch.tensor([[0.0], [4.0], [7.0]]), torch.rand(3, 4, generator=g)), 1)
+    tables = rows.repeat_interleave(TILTS, 0)
+    maps = torch.rand(LEVELS, 144, 4, generator=g)
+    return Around(meets, records, torch.rand(p, SENT, generator=g), words(7, WORDS, g), tables, maps)
 
 
 @pytest.fixture
@@ -128,6 +144,13 @@ def test_agrees_head_on_and_facing_away(built: None, calls: list[int]) -> None:
         agree(x._replace(points=x.points._replace(frame=frame), eye=eye.contiguous()), calls)
 
 
+@pytest.mark.parametrize("lamps", [0, 3])
+@pytest.mark.parametrize("lobes", [1, 16, 40])
+def test_agrees_for_what_lies_around(built: None, calls: list[int], lobes: int, lamps: int) -> None:
+    x = inputs(lobes, lamps)
+    agree(x._replace(around=surroundings(x.points.position.shape[1], 50, torch.Generator().manual_seed(lobes))), calls)
+
+
 def test_what_is_hidden_is_dark(built: None) -> None:
     x = inputs()
     assert native.shine(*x._replace(seen=torch.zeros_like(x.seen))).count_nonzero() == 0
@@ -170,7 +193,7 @@ def test_gradients_pass() -> None:
 @pytest.mark.parametrize("lamps", [0, 1, 9])
 def test_irradiance_agrees(built: None, lamps: int) -> None:
     x = inputs(lamps=lamps)
-    given = x.points, x.seen, x.light.lamps, x.light.powers
+    given = x.points.frame, x.seen, x.light.lamps, x.light.powers
     with native.refusals() as found:
         got = native.irradiance(*given)
     assert not found
@@ -181,15 +204,15 @@ def test_irradiance_agrees(built: None, lamps: int) -> None:
 @pytest.mark.parametrize("n", [1, 16, 40])
 def test_cells_agree(built: None, shape: Analytic, n: int) -> None:
     """To rounding: cells are of whole numbers, and so the same."""
-    samples = plain.sampled(lambda wi, wo: shape.evaluate(wi, wo)[..., None].expand(*wi.shape[:-1], 3), shape.isotropic)
-    given = plain.nodes(1).mirrored, samples.reflected, n
+    samples = cells.sampled(lambda wi, wo: shape.evaluate(wi, wo)[..., None].expand(*wi.shape[:-1], 3), shape.isotropic)
+    given = cells.nodes(1).mirrored, samples.reflected, n
     with native.refusals() as found:
         got = native.cell_sums(*given)
     assert not found
-    expected = plain.cell_sums(*given)
+    expected = cells.cell_sums(*given)
     torch.testing.assert_close(got, expected, rtol=1e-4, atol=1e-6)
 
 
 def test_a_material_that_reflects_nothing_has_cells_without_light(built: None) -> None:
-    mirrored = plain.nodes(1).mirrored
+    mirrored = cells.nodes(1).mirrored
     assert native.cell_sums(mirrored, torch.zeros(TILTS, mirrored.shape[2], 3), 4).count_nonzero() == 0

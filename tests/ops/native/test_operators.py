@@ -16,9 +16,10 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from ptt.light.prefiltered import samples
 from ptt.materials.shapes import BlinnPhong
 from ptt.ops import haar, native, near, rotation, slices
-from ptt.ops.constants import RINGS, SECTORS, TILTS
+from ptt.ops.cells import Gloss, Lobes
+from ptt.ops.constants import LEVELS, MEETS, RECORD, RINGS, SECTORS, SENT, TILTS
 from ptt.ops.geodesic import Geodesic
-from ptt.ops.gloss import Gloss, GlossLight, Lobes
+from ptt.ops.gloss import Around, GlossLight
 from ptt.ops.haar import Truncated
 from ptt.ops.native import building, kernels, operators
 from ptt.ops.native.glossing import WORDS
@@ -106,11 +107,15 @@ def shine() -> None:
     seen = torch.randint(0, 2**31, (n, WORDS), generator=generator()).int()
     frame = torch.eye(3)[:, :, None].repeat(1, 1, n)
     surface = SurfaceBlocks(uniform(3, n), frame, None, torch.empty(0), torch.arange(n - 3))
-    gloss = Gloss(Lobes(uniform(TILTS, 3, 7), 1), uniform(TILTS, RINGS, SECTORS, 3))
-    for lamps in (0, 2):
-        light = GlossLight(uniform(3, 36, 4), torch.eye(3), uniform(lamps, 3), uniform(lamps, 3))
-        native.shine(surface, torch.tensor([0.2, 0.4, 5.0]), seen, gloss, light)
-    native.irradiance(surface, seen, light.lamps, light.powers)
+    gloss = Gloss(Lobes(uniform(TILTS, 3, 7), 1), uniform(TILTS, RINGS, SECTORS, 3), uniform(TILTS, SENT), sharp=False)
+    meets = torch.arange(n * MEETS * MEETS, dtype=torch.int32).reshape(n, -1) % 4 - 1
+    records = torch.cat((torch.eye(3).flatten().expand(3, -1), torch.zeros(3, RECORD - 9)), 1)
+    maps = uniform(LEVELS, 36, 4)
+    around = Around(meets, records, uniform(3, SENT), seen, uniform(TILTS, SENT), maps)
+    for lamps, other in ((0, None), (2, around)):
+        light = GlossLight(maps, torch.eye(3), uniform(lamps, 3), uniform(lamps, 3))
+        native.shine(surface, torch.tensor([0.2, 0.4, 5.0]), seen, gloss, light, other)
+    native.irradiance(surface.frame, seen, light.lamps, light.powers)
     native.cell_sums(uniform(3, 3, 40), uniform(6, 40, 3), 4)
 
 
