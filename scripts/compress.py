@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import ptt
 from ptt.cli import Space, chosen_space, configure, run, save_config
@@ -30,6 +31,9 @@ class Config:
     """BRDF, outgoing and incident factors of the BRDF tensor; storage grows with the last."""
     lobes: int = 3
     """Lobes, of 0, 7, 14 and 21 degrees, that are taken out of the tensor, for sharp highlights; 0..4."""
+    highlights: Literal["auto", "lobes", "tensor"] = "auto"
+    """How points reflect glossily: narrow lobes made for each material, or the BRDF tensor and its lobes as in the paper,
+    faster and less exact; auto: narrow lobes, the tensor for brushed shapes."""
     functions: int = 4
     """Specular functions by which light is reflected on its way."""
     coefficients: int = 96
@@ -59,7 +63,10 @@ def main() -> None:
     basis = ptt.BRDFBasis.fit(space, config.functions)
     fitted = time.perf_counter()
     memory = config.max_memory * 1e9
-    model = ptt.compress(raw, config.coefficients, brdf, basis, clusters, max_memory=memory, progress=True)
+    highlights = ptt.usual_highlights(space) if config.highlights == "auto" else config.highlights
+    model = ptt.compress(
+        raw, config.coefficients, brdf, basis, clusters, highlights=highlights, max_memory=memory, progress=True
+    )
     done = time.perf_counter()
 
     print("relative L2 error of each sample of the space, by the BRDF tensor and by the basis of indirect light")

@@ -22,8 +22,13 @@ from ptt.ops.sphere import Cube
 
 KIND = "transfer model"
 Highlights = Literal["lobes", "tensor"]
-"""How points reflect direct light glossily: by narrow lobes made for each material (`ptt.ops.gloss`), or by the BRDF
-tensor and its lobes (Sun et al. 2007)."""
+"""How points reflect glossily: by narrow lobes made for each material (`ptt.ops.gloss`), or by the BRDF tensor and its
+lobes (Sun et al. 2007)."""
+
+
+def usual_highlights(space: BRDFSpace) -> Highlights:
+    """Narrow lobes; the tensor for brushed shapes, for which narrow lobes have no kernel yet."""
+    return "lobes" if space.isotropic else "tensor"
 
 
 class SparseTransfer(NamedTuple):
@@ -85,7 +90,7 @@ class TransferModel(nn.Module):
     resolution: cells along an edge of the cube map
     bounces: that are shown: 0 for direct light, 1 or 2
     truncation_error: relative L2 error of T0 that leaving out the other coefficients makes
-    highlights: how points reflect direct light glossily; with "lobes", T0 has the diffuse factor alone
+    highlights: how points reflect glossily; with "lobes", the transfer is that of diffuse reflection alone
     """
 
     kept: Tensor

@@ -9,7 +9,7 @@ from ptt.materials.spaces import BRDFSpace
 from ptt.materials.varying import SurfaceMaterial
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.tensor_brdf import TensorBRDF, usual_ranks
-from ptt.models.transfer_model import Highlights, SparseTransfer, TransferModel
+from ptt.models.transfer_model import Highlights, SparseTransfer, TransferModel, usual_highlights
 from ptt.ops.haar import Truncated
 from ptt.ops.sphere import Cube
 from ptt.transfer.assembly import assemble, direct_light
@@ -72,7 +72,7 @@ def compress(
     elif editable:
         raise ValueError("editable is for the brdf that is made here: fit the given one to BRDFSpace.holding(...)")
     _check_shown(brdf.space, {n: own.materials[n] for n, may in zip(own.names, own.editable, strict=True) if not may})
-    highlights = highlights or ("lobes" if brdf.space.isotropic else "tensor")
+    highlights = highlights or usual_highlights(brdf.space)
     if clusters is not None:
         basis = basis or BRDFBasis.fit(brdf.space)
         transfer = assemble(
