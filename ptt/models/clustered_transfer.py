@@ -57,8 +57,8 @@ class ClusteredTransfer(nn.Module):
     lighting (k, l', n): the cluster's own lighting axis, from coefficients of the coarse one
     one (k, n, q * e * s): T1 on it; two (k, l'', pairs * e): T2 on the coarsest lighting
     cuts (b * WIDTH, cells) int32: fractional visibility of the lobes, a byte each; cells = 0 where there are none
-    seen (b * WIDTH, words), meets (b * WIDTH, cells) int32: what is seen of the hemisphere, and which points of the model
-        (`ops.gloss`); nothing without narrow lobes, which also leave of s the constant alone
+    seen (b * WIDTH, words), meets (b * WIDTH, cells) int32: what is seen of the hemisphere, and which points of the
+        model (`ops.gloss`); nothing without narrow lobes, which also leave of s the constant alone
     """
 
     cluster: Tensor

@@ -1,9 +1,9 @@
 """Narrow lobes of a material: cells of f cos, by Lloyd's algorithm, for each direction of view (`ops.gloss`).
 
-w_n is what a cell reflects, so that the sum of w_n is the albedo and constant light is exact; a_n is its mean direction,
-and s_n its width. Tables are for cosines of wo to the normal, and azimuths of wo where f is anisotropic, and in the frame
-of the mirror image of wo: along, which leans to the normal, across, and the mirror direction. There a lobe changes little
-from one cosine to the next, so that the rows between are mixed.
+w_n is what a cell reflects, so that the sum of w_n is the albedo and constant light is exact; a_n is its mean
+direction, and s_n its width. Tables are for cosines of wo to the normal, and azimuths of wo where f is anisotropic, and
+in the frame of the mirror image of wo: along, which leans to the normal, across, and the mirror direction. There a lobe
+changes little from one cosine to the next, so that the rows between are mixed.
 
 Narrow lobes follow Krivanek and Colbert, Real-time shading with filtered importance sampling, 2008.
 """
@@ -123,7 +123,8 @@ def nodes(turns: int) -> Nodes:
 
 def _half(whole: Tensor) -> Tensor:
     """Of values (t, m, ...), those of the first half of the sectors."""
-    return whole.unflatten(1, (RINGS, 2, SECTORS))[:, :, 0].flatten(1, 2)
+    half: Tensor = whole.unflatten(1, (RINGS, 2, SECTORS))
+    return half[:, :, 0].flatten(1, 2)
 
 
 def outgoing(turns: int) -> Tensor:
@@ -183,7 +184,7 @@ def lobes_of(samples: Samples, n: int, sums: CellSums) -> Lobes:
 
 
 def as_one_lobe(samples: Samples) -> Tensor:
-    """All that a material reflects as one lobe (TILTS, SENT): a table of `Lobes`, the mean of all azimuths, and a zero."""
+    """All that a material reflects as one lobe (TILTS, SENT): a table as in `Lobes`, of the mean azimuth; a zero."""
     mirrored = outside(nodes, 1).mirrored.repeat(samples.turns, 1, 1)
     moments = (mirrored @ samples.reflected.sum(2, keepdim=True)).transpose(1, 2)
     table = _table(moments, samples.reflected.sum(1, keepdim=True))[:, 0]
@@ -191,7 +192,7 @@ def as_one_lobe(samples: Samples) -> Tensor:
 
 
 def _table(moments: Tensor, reflected: Tensor) -> Tensor:
-    """Axes, levels and weights (r, n, 4 + c) of lobes, of first moments (r, n, 3) and sums (r, n, c) of what is reflected."""
+    """Axes, levels and weights (r, n, 4 + c) of lobes, from first moments (r, n, 3) and sums (r, n, c)."""
     length = torch.linalg.vector_norm(moments, dim=2, keepdim=True)
     total = reflected.sum(2, keepdim=True)
     up = moments.new_tensor([0.0, 0.0, 1.0])

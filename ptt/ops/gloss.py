@@ -31,9 +31,9 @@ from ptt.ops.view import BYTE, SurfaceBlocks, local_directions
 SHARES = {10.0: WIDE_SIDE, 20.0: WIDEST_SIDE}
 """Degrees that the lobes cover of which `seen` has visible shares, and cells along the edges of the maps of their axes.
 
-Bilinear lookups in maps so coarse make them 14 and 28: in a trial on 160 points (GGX of roughness 0.3 to 0.7, 16 lobes)
-under two maps without lamps, shares of 14 and 28 degrees left 4.9 and 4.7 % of error, of 10 and 20 4.5 and 4.6, and maps
-of 24 x 24 cells for 7, 14 and 28 degrees, of three times the size, 4.3 and 4.1.
+Bilinear lookups in maps so coarse make them 14 and 28: in a trial on 160 points (GGX of roughness 0.3 to 0.7, 16
+lobes) under two maps without lamps, shares of 14 and 28 degrees left 4.9 and 4.7 % of error, of 10 and 20 4.5 and 4.6,
+and maps of 24 x 24 cells for 7, 14 and 28 degrees, of three times the size, 4.3 and 4.1.
 """
 
 AT_ONCE = 4096  # points that are worked out together, so that they stay in the cache
@@ -94,8 +94,8 @@ def shine(
 ) -> Tensor:
     """What points reflect glossily to the eye (v, c), for an eye (3,) or unit directions (3, n) to it.
 
-    seen (n, words) int32: what is seen of the hemisphere, a bit for each cell of a `HemiOctahedral` map, and then a byte
-        for each cell of those of `SHARES`: the visible share of a lobe about it
+    seen (n, words) int32: what is seen of the hemisphere, a bit for each cell of a `HemiOctahedral` map, and then a
+        byte for each cell of those of `SHARES`: the visible share of a lobe about it
     around: what sends light where the sky is hidden; None for direct light alone
     """
     wo = local_directions(points, eye).T

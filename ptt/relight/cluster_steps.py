@@ -64,8 +64,8 @@ class RegionMaterial(NamedTuple):
 
 
 class Layer(NamedTuple):
-    """A part of what a region sends out: Q and I (b, c, 1 + o + s, w), its lobes, and how much of it all there is at each
-    point (n, c), None for all. whole: says whether there is a Q, or I alone."""
+    """A part of what a region sends out: Q and I (b, c, 1 + o + s, w), its lobes, and how much of it all there is at
+    each point (n, c), None for all. whole: says whether there is a Q, or I alone."""
 
     sent: OutgoingLight
     lobes: LitLobes | None

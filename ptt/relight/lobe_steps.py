@@ -42,7 +42,7 @@ OPEN = 0.02  # of the hemisphere: what a point sees of surfaces counts as at lea
 
 
 class ArrivingIrradiance(NamedTuple):
-    """At the eigen-points of a region, of the light without lamps (k, c, e), by slots (k, c, q, e), and by pairs of them."""
+    """At a region's eigen-points, of light without lamps (k, c, e), by slots (k, c, q, e), and by pairs of them."""
 
     direct: Tensor
     one: Tensor
@@ -50,7 +50,7 @@ class ArrivingIrradiance(NamedTuple):
 
 
 class LobeLight(NamedTuple):
-    """Under one light: what arrives in every region, and of lamps at its points in blocks (n, c), and the light itself."""
+    """Under one light: what arrives in every region, what of lamps at its points in blocks (n, c), and the light."""
 
     arriving: list[ArrivingIrradiance]
     of_lamps: list[Tensor | None]
@@ -58,8 +58,8 @@ class LobeLight(NamedTuple):
 
 
 class LobeLayer(NamedTuple):
-    """A layer of a region's material: albedo over pi (c,), its lobes, None where it is dull, and how much of it there is at
-    the region's points in blocks (n, c), None for all."""
+    """A layer of a region's material: albedo over pi (c,), its lobes, None where it is dull, and its share at the
+    region's points in blocks (n, c), None for all of it."""
 
     albedo: Tensor
     gloss: Gloss | None
@@ -67,8 +67,8 @@ class LobeLayer(NamedTuple):
 
 
 class LobeMaterial(NamedTuple):
-    """A region's material: its part of H (1 + p + 1, c), its layers, the base colour (n, c) of its points, None for white,
-    and all of it that is glossy as one lobe (TILTS, SENT)."""
+    """A region's material: its part of H (1 + p + 1, c), its layers, the base colour (n, c) of its points, None for
+    white, and all of it that is glossy as one lobe (TILTS, SENT)."""
 
     functions: Tensor
     layers: list[LobeLayer]
@@ -77,8 +77,8 @@ class LobeMaterial(NamedTuple):
 
 
 class LobeRegion(NamedTuple):
-    """With materials and light: a region's points, what is dull (v, c), what is glossy, each with its share (v, c), and what
-    lies around, None where no light bounces."""
+    """With materials and light: a region's points, what is dull (v, c), what is glossy, each with its share (v, c), and
+    what lies around, None where no light bounces."""
 
     surface: SurfaceBlocks
     dull: Tensor
@@ -92,7 +92,7 @@ class LobeSteps(nn.Module):
 
     rows: Tensor
     keep: Tensor
-    points: Tensor
+    records: Tensor
     seen: Tensor
 
     def __init__(self, model: TransferModel, compiled: bool, lobes: int) -> None:
@@ -103,19 +103,18 @@ class LobeSteps(nn.Module):
         self.count = lobes
         self.light = LightStep(model.grid, WIDTHS, compiled, lamps=True)
         self._operations = operations(compiled)
-        own = [slice(first, end) for first, end in model.receivers.spans]
-        regions = [
+        self.own = [slice(first, end) for first, end in model.receivers.spans]
+        self.points = [
             RegionPoints(region, model.positions[rows], model.frames[rows], model.colours[rows])
-            for region, rows in zip(model.clustered, own, strict=True)
+            for region, rows in zip(model.clustered, self.own, strict=True)
         ]
-        self.regions = nn.ModuleList(regions)
-        self.own = own
+        self.regions = nn.ModuleList(self.points)
         rows, keep = slots.chosen(model.slots, model.basis.table.shape[1])
         seen = [region.seen for region in model.clustered]
         tensors = {
             "rows": rows,
             "keep": keep,
-            "points": self._records(),
+            "records": self._records(),
             "seen": seen[0] if len(seen) == 1 else torch.cat(seen),
         }
         for name, tensor in tensors.items():
@@ -175,7 +174,7 @@ class LobeSteps(nn.Module):
         if not len(lamps.directions):
             return None
         irradiance: Tensor = self._operations.irradiance(
-            self.regions[region].frame, self.model.clustered[region].seen, *lamps
+            self.points[region].frame, self.model.clustered[region].seen, *lamps
         )
         return irradiance
 
@@ -195,7 +194,7 @@ class LobeSteps(nn.Module):
         coloured = self.model.brdf.space.coloured(material)
         functions = slots.functions_of(self.basis, material, coloured, not isinstance(own, Material))
         layer = self._layer(material, None)
-        colour = self.regions[region].colour
+        colour = self.points[region].colour
         return LobeMaterial(functions, [layer], None if colour is None else colour.T, _whole([layer], [1.0]))
 
     def _varying(self, region: int, material: Varying, own: SurfaceMaterial) -> LobeMaterial:
@@ -230,8 +229,8 @@ class LobeSteps(nn.Module):
         """The BRDF step."""
         tables = self.materials(materials)
         functions = [material.functions for material in tables]
-        pairs = [points.pairs for points in self.regions]
-        h = slot_weights(functions, self.rows, self.keep, [points.slots for points in self.regions], pairs)
+        pairs = [points.pairs for points in self.points]
+        h = slot_weights(functions, self.rows, self.keep, [points.slots for points in self.points], pairs)
         dull = []
         sent = []
         for r, (material, weights) in enumerate(zip(tables, h, strict=True)):
@@ -248,8 +247,8 @@ class LobeSteps(nn.Module):
     def _diffuse(
         self, region: int, light: LobeLight, material: LobeMaterial, h: Tensor, pairs: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """What points in blocks send out diffusely (n, c), and what others see of them (n, 2 c) (`ops.gloss.Around`): of
-        light that bounced once less, of H (c, q) and its products (c, pairs)."""
+        """What points in blocks send out diffusely (n, c), and what others see of them (n, 2 c) (`ops.gloss.Around`),
+        of light that bounced once less, of H (c, q) and its products (c, pairs)."""
         direct, one, two = light.arriving[region]
         once = math.sqrt(math.pi) * (h[:, None] @ one)[:, :, 0]
         twice = math.sqrt(math.pi) * (pairs[:, None] @ two)[:, :, 0]
@@ -268,14 +267,14 @@ class LobeSteps(nn.Module):
         tables = torch.cat([material.whole for material in materials])
         none = self.model.clustered[0].meets[:0]
         return Around(
-            none, self.points, pad(sent, (0, SENT - sent.shape[1])), self.seen, tables, light.split.whole.maps
+            none, self.records, pad(sent, (0, SENT - sent.shape[1])), self.seen, tables, light.split.whole.maps
         )
 
     def _for(self, region: int, around: Around | None) -> Around | None:
         return None if around is None else around._replace(meets=self.model.clustered[region].meets)
 
     def _surface(self, region: int) -> SurfaceBlocks:
-        points, own = self.regions[region], self.model.clustered[region]
+        points, own = self.points[region], self.model.clustered[region]
         return SurfaceBlocks(points.position, points.frame, None, own.cuts, own.place)
 
     def _lit(

@@ -86,8 +86,10 @@ class RawTransfer:
                 if found.numel() and not -1 <= int(found.min()) <= int(found.max()) < v:
                     got = f"{int(found.min())}..{int(found.max())}"
                     raise ValueError(f"holds wrong {name}: must be in -1..{v - 1}, got {got}")
-            seen = (tensors[name] for name in ("visible", "hits", "meets"))
-            return cls(Receivers.restore(config, tensors), *seen, config["resolution"], config["bounces"])
+            settings = config["resolution"], config["bounces"]
+            return cls(
+                Receivers.restore(config, tensors), tensors["visible"], tensors["hits"], tensors["meets"], *settings
+            )
 
 
 def precompute(

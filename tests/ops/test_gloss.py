@@ -39,7 +39,7 @@ def tilted(degrees: float, turn: float = 0.0, count: int = 1) -> Tensor:
 
 
 def points(count: int, seen: Callable[[Tensor], Tensor] | None = None) -> tuple[SurfaceBlocks, Tensor]:
-    """Points whose frames are the world's, and what they see; seen: of local directions (n, 3), whether they are free."""
+    """Points whose frames are the world's, and what they see; seen: of directions (n, 3), whether they are free."""
     fine = HemiOctahedral(BITS).directions().reshape(-1, 3).float()
     free = torch.ones(len(fine), dtype=torch.bool) if seen is None else seen(fine)
     words = (free.reshape(-1, 32).long() << torch.arange(32)).sum(1)

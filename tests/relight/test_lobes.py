@@ -143,8 +143,8 @@ def test_light_that_bounced_is_the_same_by_kernels_and_from_a_file(
 
 
 def test_a_furnace_with_surfaces_around(scene: ptt.Scene, bounced: ptt.TransferModel) -> None:
-    """Under light of 1 from everywhere, a ball that reflects all of it sends no more than 1, and close to what the walls
-    and the sky send it."""
+    """Under light of 1 from everywhere, a ball that reflects all of it sends no more than 1, and close to what the
+    walls and the sky send it."""
     mirror = {"ball": ptt.ggx(0.0, 1.0, 1.0, 0.3)}
     got = ptt.TransferRelighter(bounced, compiled=False)(ptt.Environment.constant(1.0), mirror, EYE)
     rows = facing(scene)
