@@ -36,7 +36,10 @@ def apart(light: Tensor, directions: Tensor, solid_angles: Tensor) -> tuple[Lamp
     up to the light; they are differentiable in it, for lamps that stay where they are.
     """
     if is_batch(light):
-        raise ValueError("maps cannot be a batch of torch.func.vmap where highlights are lobes: loop over them")
+        raise ValueError(
+            "maps cannot be a batch of torch.func.vmap where highlights are lobes: "
+            'loop over them, or compress with highlights="tensor"'
+        )
     rest = light
     power = (light.detach() * solid_angles).sum(1)
     least = LEAST * float(power.sum())

@@ -36,6 +36,11 @@ Relighting (equation 3; `relight`, `view`), in the order of what changes:
                                                                                  coordinates, C Z_s seen by a factor
     B[v, c] = sum over o of V[o, v] Q[c, o, v]  +  lobes                        view: V is u_o in the view direction
 
+or, in place of its tensor, by narrow lobes n of each material (`cells`, `gloss`), E irradiance, E_n light under a lobe,
+V_n what v sees of it, y_n the point that it sees otherwise:
+
+    B[v, c] = albedo[c] / pi E[v, c]  +  sum over n of w_n[c] (V_n[v] E_n[c] + (1 - V_n[v]) B[y_n, c])
+
 Rotated light (Wang et al. 2006, equations 5 to 7; `rotation`, `slices`), n a sampled normal, W Haar transforms:
 
     R_n = W_M S_n W_N^T                                                         S_n: the map resampled around n

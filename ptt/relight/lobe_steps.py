@@ -119,7 +119,8 @@ class LobeSteps(nn.Module):
         }
         for name, tensor in tensors.items():
             self.register_buffer(name, tensor, persistent=False)
-        self._hidden = [1 - sky for sky in self._sky()]
+        for points, region in zip(self.points, model.clustered, strict=True):
+            points.register_buffer("hidden", 1 - self._sky(region), persistent=False)
         self._materials = [Cache() for _ in model.clustered]
 
     def _records(self) -> Tensor:
@@ -133,14 +134,11 @@ class LobeSteps(nn.Module):
         record = torch.cat((self.model.frames.flatten(1), torch.cat(places).to(self.model.frames)), 1)
         return pad(record, (0, RECORD - record.shape[1]))
 
-    def _sky(self) -> list[Tensor]:
-        """The share of the hemisphere, by cosine, in which points in blocks (n, 1) of each region see the sky."""
-        light = self.light(Environment.constant(1.0)).flatten(1)[:1].expand(3, -1)
-        parts = []
-        for region in self.model.clustered:
-            even = self._operations.light_eigen(region.direct, light, region.columns)
-            parts.append(self._at_points(region, even[..., None])[:, :1, 0] / math.pi)
-        return [part.clamp(0, 1 - OPEN) for part in parts]
+    def _sky(self, region: ClusteredTransfer) -> Tensor:
+        """The share of the hemisphere, by cosine, in which a region's points in blocks (n, 1) see the sky."""
+        light = self.light(Environment.constant(1.0)).flatten(1)
+        even = self._operations.light_eigen(region.direct, light, region.columns)
+        return (self._at_points(region, even[..., None])[:, :1, 0] / math.pi).clamp(0, 1 - OPEN)
 
     @staticmethod
     def _at_points(region: ClusteredTransfer, eigen: Tensor) -> Tensor:
@@ -259,7 +257,7 @@ class LobeSteps(nn.Module):
         albedo = albedo if material.colour is None else albedo * material.colour
         lamps = light.of_lamps[region]
         diffuse = [albedo * (each if lamps is None else each + lamps) for each in (whole, less)]
-        mean = bounced.clamp(min=0) / (math.pi * self._hidden[region])
+        mean = bounced.clamp(min=0) / (math.pi * self.points[region].get_buffer("hidden"))
         return diffuse[0], torch.cat((diffuse[1], mean), 1)
 
     def _around(self, light: LobeLight, materials: Sequence[LobeMaterial], sent: Tensor) -> Around:
