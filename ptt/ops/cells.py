@@ -24,7 +24,7 @@ from ptt.ops.transforms import beneath, outside
 
 NARROWEST = 3.5  # degrees that the lobe of level 1 covers (three standard deviations); that of level 0 is a cell
 TURNS = 24  # azimuths of wo of an anisotropic f
-SPREAD = 1.1  # in a trial on ten shapes under three maps, the standard deviation of a lobe over that of its cell
+WIDENED = 1.1  # in a trial on ten shapes under three maps, the standard deviation of a lobe over that of its cell
 ROUNDS = 4  # of Lloyd's algorithm from one cosine to the next
 STEPS = 2047  # of a unit length, for cells; MASS_STEPS: of the largest mass
 MASS_STEPS = 2**20
@@ -198,7 +198,7 @@ def _table(moments: Tensor, reflected: Tensor) -> Tensor:
     up = moments.new_tensor([0.0, 0.0, 1.0])
     axes = torch.where(length > TINY, moments / length.clamp(min=TINY), up)
     spread = (1 - length / total.clamp(min=TINY)).clamp(1e-9, 1 - 1e-3)
-    degrees = torch.rad2deg(3 * SPREAD * (-torch.log1p(-spread)).sqrt())
+    degrees = torch.rad2deg(3 * WIDENED * (-torch.log1p(-spread)).sqrt())
     level = (1 + 2 * torch.log2(degrees / NARROWEST)).clamp(0, LEVELS - 1)
     return torch.cat((axes, level, reflected), 2)
 

@@ -44,6 +44,10 @@ WIDEST_SIDE = 8
 MEETS = 24
 """Cells along the edge of the map of which points a point sees."""
 
+SPREAD = 5
+"""The width of lobes, 14 degrees, from which what they see of surfaces goes over to the mean of all that a point sees,
+which those of the last width see."""
+
 RECORD = 16
 """Numbers of a point as others see it: they fill a cache line, of which 11 are used."""
 

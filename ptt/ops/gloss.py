@@ -8,9 +8,12 @@ w_n, a_n and s_n are the weights, axes and widths of a material's lobes (`ops.ce
 reflected by f itself.
 
 y_n is the point that v sees along a_n (`Around`), which sends to v what is diffuse, D, and what its material reflects
-as one lobe w, a, s, of the light, and of the mean S of what it sees itself:
+as one lobe w, a, s, of the light, and of the mean S of the surfaces that it sees itself:
 
     B[y, c] = D[y, c] + w[c] (V_y(a, s) E[c](a, s) + (1 - V_y(a, s)) S[y, c])
+
+The wider a lobe of v is, the more it sees S[v, c] in place of one point. In a trial on a statue under uffizi, light that
+bounced off gold of roughness 0.7 erred by 17 % without that, by 11 with it; from 0.2 to 0.5 it changes little.
 
 Sun et al. 2007, section 4.1, has up to four lobes about common axes, of at most 21 degrees, and a tensor for the rest.
 """
@@ -24,7 +27,7 @@ import torch
 from torch import Tensor
 
 from ptt.ops.cells import Gloss, frames, octaves
-from ptt.ops.constants import BITS, MEETS, SECTORS, SHARPEST, TILTS, TINY, WIDE_SIDE, WIDEST_SIDE
+from ptt.ops.constants import BITS, LEVELS, MEETS, SECTORS, SHARPEST, SPREAD, TILTS, TINY, WIDE_SIDE, WIDEST_SIDE
 from ptt.ops.octahedral import corners, hemi_octahedral, mix, octahedral
 from ptt.ops.view import BYTE, SurfaceBlocks, local_directions
 
@@ -55,6 +58,7 @@ class GlossLight(NamedTuple):
 class Around(NamedTuple):
     """What n points may see of each other, p points in all.
 
+    mean (3, n): S of each of the n
     meets (n, MEETS * MEETS) int32: which point each sees about the axes of a `HemiOctahedral` map; -1 for none
     points (p, RECORD): of all: rows of the frame, and, as whole numbers, their rows of `seen` and the first of their
         region's in `tables`; zeros
@@ -64,6 +68,7 @@ class Around(NamedTuple):
     maps (LEVELS, cells, 4): as those of `GlossLight`, with the lamps
     """
 
+    mean: Tensor
     meets: Tensor
     points: Tensor
     sent: Tensor
@@ -103,7 +108,7 @@ def shine(
     parts = []
     for first in range(0, len(wo), AT_ONCE):
         some = slice(first, first + AT_ONCE)
-        near = None if around is None else around._replace(meets=around.meets[some])
+        near = None if around is None else around._replace(mean=around.mean[:, some], meets=around.meets[some])
         parts.append(_shine(gloss, light, frame[some], seen[some], wo[some], near))
     return torch.cat(parts).index_select(0, points.place)
 
@@ -128,7 +133,9 @@ def _shine(gloss: Gloss, light: GlossLight, frame: Tensor, seen: Tensor, wo: Ten
     about = blurred(light.maps, axes @ frame @ light.turn, level)
     about = about * through[..., None]
     if around is not None:
-        about = about + _from_points(around, frame, axes, light.turn) * (1 - through)[..., None]
+        spread = ((level - SPREAD) / (LEVELS - 1 - SPREAD)).clamp(0, 1)[..., None]
+        surfaces = torch.lerp(_from_points(around, frame, axes, light.turn), around.mean.T[:, None], spread)
+        about = about + surfaces * (1 - through)[..., None]
     out: Tensor = (row[..., 4:] * about).sum(1)
     if not len(light.lamps):
         return out

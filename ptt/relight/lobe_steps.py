@@ -231,45 +231,51 @@ class LobeSteps(nn.Module):
         h = slot_weights(functions, self.rows, self.keep, [points.slots for points in self.points], pairs)
         dull = []
         sent = []
+        means = []
         for r, (material, weights) in enumerate(zip(tables, h, strict=True)):
-            diffuse, to_others = self._diffuse(r, light, material, *weights)
+            diffuse, to_others, mean = self._diffuse(r, light, material, *weights)
             place = self.model.clustered[r].place
             dull.append(diffuse[place])
             sent.append(to_others[place])
-        around = self._around(light, tables, torch.cat(sent)) if self.model.bounces else None
+            means.append(mean.T.contiguous())
+        others = (
+            self.records,
+            pad(torch.cat(sent), (0, SENT - 6)),
+            self.seen,
+            torch.cat([material.whole for material in tables]),
+            light.split.whole.maps,
+        )
         return [
-            LobeRegion(self._surface(r), dull[r], self._lit(r, material, light.split), self._for(r, around))
+            LobeRegion(
+                self._surface(r),
+                dull[r],
+                self._lit(r, material, light.split),
+                Around(means[r], self.model.clustered[r].meets, *others) if self.model.bounces else None,
+            )
             for r, material in enumerate(tables)
         ]
 
     def _diffuse(
         self, region: int, light: LobeLight, material: LobeMaterial, h: Tensor, pairs: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """What points in blocks send out diffusely (n, c), and what others see of them (n, 2 c) (`ops.gloss.Around`),
-        of light that bounced once less, of H (c, q) and its products (c, pairs)."""
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """What points in blocks send out diffusely (n, c), what others see of it and of what lies around them, of light
+        that bounced once less (n, 2 c), and the mean of the surfaces that they see (n, c) (`ops.gloss.Around`).
+
+        h (c, q), pairs (c, pairs): H of the slots that light them, and its products
+        """
         direct, one, two = light.arriving[region]
         once = math.sqrt(math.pi) * (h[:, None] @ one)[:, :, 0]
-        twice = math.sqrt(math.pi) * (pairs[:, None] @ two)[:, :, 0]
+        both = once + math.sqrt(math.pi) * (pairs[:, None] @ two)[:, :, 0]
         before = once if self.model.bounces == 2 else torch.zeros_like(once)
-        eigen = torch.stack((direct + once + twice, direct + before, before), 3)
-        whole, less, bounced = self._at_points(self.model.clustered[region], eigen).unbind(2)
+        eigen = torch.stack((direct + both, direct + before, both, before), 3)
+        whole, less, *bounced = self._at_points(self.model.clustered[region], eigen).unbind(2)
         albedo = sum(_some(layer.albedo, layer.share) for layer in material.layers)
         albedo = albedo if material.colour is None else albedo * material.colour
         lamps = light.of_lamps[region]
         diffuse = [albedo * (each if lamps is None else each + lamps) for each in (whole, less)]
-        mean = bounced.clamp(min=0) / (math.pi * self.points[region].get_buffer("hidden"))
-        return diffuse[0], torch.cat((diffuse[1], mean), 1)
-
-    def _around(self, light: LobeLight, materials: Sequence[LobeMaterial], sent: Tensor) -> Around:
-        """What all points may see, for none of them yet."""
-        tables = torch.cat([material.whole for material in materials])
-        none = self.model.clustered[0].meets[:0]
-        return Around(
-            none, self.records, pad(sent, (0, SENT - sent.shape[1])), self.seen, tables, light.split.whole.maps
-        )
-
-    def _for(self, region: int, around: Around | None) -> Around | None:
-        return None if around is None else around._replace(meets=self.model.clustered[region].meets)
+        hidden = math.pi * self.points[region].get_buffer("hidden")
+        mean = [each.clamp(min=0) / hidden for each in bounced]
+        return diffuse[0], torch.cat((diffuse[1], mean[1]), 1), mean[0]
 
     def _surface(self, region: int) -> SurfaceBlocks:
         points, own = self.points[region], self.model.clustered[region]

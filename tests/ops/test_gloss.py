@@ -199,7 +199,7 @@ def ceiling(sent: Tensor, table: Tensor, seen: Tensor) -> gloss.Around:
     record[0, :9] = torch.tensor([1.0, 0, 0, 0, -1, 0, 0, 0, -1])
     sky = light_of(lambda d: torch.where(d[:, 2] < 0, 2.0, 0.0))  # from below
     meets = torch.zeros(16, MEETS * MEETS, dtype=torch.int32)
-    return gloss.Around(meets, record, sent[None], seen[:1], table.repeat(TILTS, 1), sky.maps)
+    return gloss.Around(torch.zeros(3, 16), meets, record, sent[None], seen[:1], table.repeat(TILTS, 1), sky.maps)
 
 
 @pytest.mark.parametrize("shape", [GGX(1.0, 0.1), GGX(1.0, 0.6), GGX(0.04, 0.3)], ids=str)
@@ -222,7 +222,8 @@ def test_a_ceiling_is_reflected(shape: Analytic, degrees: float) -> None:
         (mean, half, nothing, [0.15 * albedo, 0.1 * albedo, 0.05 * albedo]),
         (dull + mean, half, everything, [2 * albedo, 3 * albedo, 4 * albedo]),
     ):
-        got = gloss.shine(blocks, wo, nothing, tables, dark, ceiling(sent, table, seen))[0]
+        around = ceiling(sent, table, seen)._replace(mean=(torch.tensor(expected) / albedo)[:, None].expand(3, 16))
+        got = gloss.shine(blocks, wo, nothing, tables, dark, around)[0]
         assert got.tolist() == pytest.approx(expected, rel=0.02)
 
 
@@ -235,6 +236,20 @@ def test_a_ceiling_that_looks_away_or_is_not_there_sends_nothing() -> None:
     none = around._replace(meets=around.meets - 1)
     for other in (away, none):
         assert not gloss.shine(blocks, tilted(30.0, 0.0, 16), nothing, tables, dark, other).any()
+
+
+def test_wide_lobes_see_the_mean_of_surfaces() -> None:
+    """With one lobe, that of roughness 1 sees the mean alone, and that of 0.1 the ceiling alone."""
+    blocks, nothing = points(16, lambda d: d[:, 2] > 2)
+    dark = light_of(lambda d: torch.zeros(len(d)))
+    up = torch.tensor([0.0, 0, 1, 0, 0, 0, 0, 0])
+    around = ceiling(torch.ones(SENT), up, nothing)._replace(mean=torch.full((3, 16), 5.0))
+    wo = tilted(20.0, 0.0, 16)
+    for roughness, expected in ((1.0, 5.0), (0.1, 1.0)):
+        shape = GGX(1.0, roughness)
+        got = gloss.shine(blocks, wo, nothing, cells.gloss_of(grey(shape), True, 1), dark, around)
+        albedo = dense(shape, wo[:, 0], lambda d: torch.ones(len(d)))
+        assert float(got[0, 0]) == pytest.approx(expected * albedo, rel=0.02)
 
 
 def test_what_sees_the_sky_sees_no_ceiling() -> None:

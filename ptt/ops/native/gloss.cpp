@@ -153,22 +153,15 @@ static inline void light_at(const float *maps, int map, const Lanes *d, Ints lev
     }
 }
 
-// What a group sees of other points about the axis of a lobe, of which a share is hidden from the sky
-// (ptt.ops.gloss._from_points, _as_one_lobe)
-static inline void from_points(const Shine &g, int64_t v, const Look &at, const Lobe &lobe, Lanes hidden, Lanes *out) {
-    const Ints met = met_by(g, v, lobe);
-    Ints there = (met >= 0) & (hidden > CLEAR);
-    for (int c = 0; c < 3; ++c) out[c] = all(0);
-    if (!any(there)) return;
-    const Ints point = there ? met : Ints{};
+// What points send against the axis of a lobe of a group; 0 where they face away (ptt.ops.gloss._as_one_lobe)
+static inline void as_one_lobe(const Shine &g, const Look &at, const Lobe &lobe, Ints point, Lanes *out) {
     Lanes record[12], wo[3], world[3], u, w, local[3], axis[3], d[3], table[8], sent[8], e[3], a, b;
     for (int i = 0; i < 12; i += 4) gather_four(g.records + i, point * RECORD, record + i);
     for (int c = 0; c < 3; ++c)
         world[c] = lobe.local[0] * at.frame[0][c] + lobe.local[1] * at.frame[1][c] + lobe.local[2] * at.frame[2][c];
     for (int r = 0; r < 3; ++r)
         wo[r] = -(record[3 * r] * world[0] + record[3 * r + 1] * world[1] + record[3 * r + 2] * world[2]);
-    there &= wo[2] > 0;
-    if (!any(there)) return;
+    if (!any(wo[2] > 0)) return;
     flattened(wo, u, w);
     const Lanes tilt = least(most(size(wo[2]) * (TILTS - 0.5f) - 0.5f, all(0)), all(TILTS - 1));
     const Ints row = (whole(tilt + 0.5f) + whole(record[10])) * SENT;
@@ -177,13 +170,26 @@ static inline void from_points(const Shine &g, int64_t v, const Look &at, const 
     const Ints level = clamp(whole(table[3] + 0.5f), LEVELS - 1);
     hemi_octahedral(local, a, b);
     const Lanes through = visible(g.all_seen, whole(record[9]) * SEEN, a, b, real(level));
-    for (int c = 0; c < 3; ++c)
-        axis[c] = local[0] * record[c] + local[1] * record[3 + c] + local[2] * record[6 + c];
+    for (int c = 0; c < 3; ++c) axis[c] = local[0] * record[c] + local[1] * record[3 + c] + local[2] * record[6 + c];
     turned(axis, g.turn, d);
     light_at(g.whole, g.map, d, level, e);
     for (int c = 0; c < 3; ++c) {
         const Lanes mean = sent[3 + c], about = mean + through * (e[c] - mean);
-        out[c] = there ? hidden * (sent[c] + table[4 + c] * about) : all(0);
+        out[c] = wo[2] > 0 ? sent[c] + table[4 + c] * about : all(0);
+    }
+}
+
+// What a group sees of other points about the axis of a lobe, times the share that is hidden from the sky
+// (ptt.ops.gloss._from_points)
+static inline void from_points(const Shine &g, int64_t v, const Look &at, const Lobe &lobe, Lanes hidden, Lanes *out) {
+    for (int c = 0; c < 3; ++c) out[c] = all(0);
+    if (!any(hidden > CLEAR)) return;
+    const Ints met = met_by(g, v, lobe), there = (met >= 0) & (hidden > CLEAR), point = there ? met : Ints{};
+    if (any(there)) as_one_lobe(g, at, lobe, point, out);
+    const Lanes spread = least(most((lobe.level - SPREAD) * (1.0f / (LEVELS - 1 - SPREAD)), all(0)), all(1));
+    for (int c = 0; c < 3; ++c) {
+        const Lanes sent = there ? out[c] : all(0);
+        out[c] = hidden > CLEAR ? hidden * (sent + spread * (load(g.mean + c * g.n + v) - sent)) : all(0);
     }
 }
 

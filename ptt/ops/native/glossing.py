@@ -63,6 +63,7 @@ class _Shine(NamedTuple):
     turn: Tensor
     lamps: Tensor
     powers: Tensor
+    mean: Tensor | None
     meets: Tensor | None
     records: Tensor | None
     sent: Tensor | None
@@ -103,10 +104,11 @@ def _conditions(*arguments: Any) -> Conditions:
 
 
 def _of_around(g: _Shine, around: Around) -> Conditions:
-    meets, points, sent, seen, tables, maps = around
-    yield of_type(torch.float32, points, sent, tables, maps), "what lies around must be float32"
+    mean, meets, points, sent, seen, tables, maps = around
+    yield of_type(torch.float32, mean, points, sent, tables, maps), "what lies around must be float32"
     yield of_type(torch.int32, meets, seen), "what points see, and which points, must be int32"
     yield contiguous(*around), "what lies around must be contiguous"
+    yield mean.shape == g.position.shape, "the mean of surfaces must be (3, n)"
     yield meets.shape == (g.position.shape[1], MEETS * MEETS), f"meets must be (n, {MEETS * MEETS})"
     yield points.shape == (len(points), RECORD), f"points must be (p, {RECORD})"
     yield sent.shape == (len(points), SENT), f"what is sent must be (p, {SENT})"
@@ -142,6 +144,7 @@ def _kernel(*arguments: Any) -> Tensor:
         lamps=g.lamps.contiguous(),
         powers=g.powers.contiguous(),
         seen=g.seen,
+        mean=g.mean,
         meets=g.meets,
         records=g.records,
         sent=g.sent,
@@ -163,8 +166,8 @@ def _kernel(*arguments: Any) -> Tensor:
 
 _shine = operator(
     "shine(Tensor position, Tensor frame, Tensor place, Tensor eye, Tensor seen, Tensor table, int turns, "
-    "Tensor values, Tensor maps, Tensor turn, Tensor lamps, Tensor powers, Tensor? meets, Tensor? records, "
-    "Tensor? sent, Tensor? all_seen, Tensor? tables, Tensor? whole) -> Tensor",
+    "Tensor values, Tensor maps, Tensor turn, Tensor lamps, Tensor powers, Tensor? mean, Tensor? meets, "
+    "Tensor? records, Tensor? sent, Tensor? all_seen, Tensor? tables, Tensor? whole) -> Tensor",
     plain=_plain,
     kernel=_kernel,
     conditions=_conditions,

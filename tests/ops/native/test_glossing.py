@@ -84,7 +84,15 @@ def surroundings(n: int, p: int, g: torch.Generator) -> Around:
     rows = torch.cat((directions(3, g), torch.tensor([[0.0], [4.0], [7.0]]), torch.rand(3, 4, generator=g)), 1)
     tables = rows.repeat_interleave(TILTS, 0)
     maps = torch.rand(LEVELS, 144, 4, generator=g)
-    return Around(meets, records, torch.rand(p, SENT, generator=g), words(7, WORDS, g), tables, maps)
+    return Around(
+        torch.rand(3, n, generator=g),
+        meets,
+        records,
+        torch.rand(p, SENT, generator=g),
+        words(7, WORDS, g),
+        tables,
+        maps,
+    )
 
 
 @pytest.fixture
