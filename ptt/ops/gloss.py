@@ -95,13 +95,20 @@ def rows_of(wo: Tensor, turns: int) -> tuple[Tensor, Tensor]:
 
 
 def shine(
-    points: SurfaceBlocks, eye: Tensor, seen: Tensor, gloss: Gloss, light: GlossLight, around: Around | None = None
+    points: SurfaceBlocks,
+    eye: Tensor,
+    seen: Tensor,
+    gloss: Gloss,
+    light: GlossLight,
+    around: Around | None = None,
+    share: Tensor | None = None,
 ) -> Tensor:
     """What points reflect glossily to the eye (v, c), for an eye (3,) or unit directions (3, n) to it.
 
     seen (n, words) int32: what is seen of the hemisphere, a bit for each cell of a `HemiOctahedral` map, and then a
         byte for each cell of those of `SHARES`: the visible share of a lobe about it
     around: what sends light where the sky is hidden; None for direct light alone
+    share (c, n): how much of the material there is at each point; None for all
     """
     wo = local_directions(points, eye).T
     frame = points.frame.movedim(2, 0)  # shape: (n, 3, 3)
@@ -110,7 +117,8 @@ def shine(
         some = slice(first, first + AT_ONCE)
         near = None if around is None else around._replace(mean=around.mean[:, some], meets=around.meets[some])
         parts.append(_shine(gloss, light, frame[some], seen[some], wo[some], near))
-    return torch.cat(parts).index_select(0, points.place)
+    out = torch.cat(parts)
+    return (out if share is None else out * share.T).index_select(0, points.place)
 
 
 def irradiance(frame: Tensor, seen: Tensor, lamps: Tensor, powers: Tensor) -> Tensor:

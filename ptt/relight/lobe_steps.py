@@ -77,7 +77,7 @@ class LobeMaterial(NamedTuple):
 
 
 class LobeRegion(NamedTuple):
-    """With materials and light: a region's points, what is dull (v, c), what is glossy, each with its share (v, c), and
+    """With materials and light: a region's points, what is dull (v, c), what is glossy, each with its share (c, n), and
     what lies around, None where no light bounces."""
 
     surface: SurfaceBlocks
@@ -249,7 +249,7 @@ class LobeSteps(nn.Module):
             LobeRegion(
                 self._surface(r),
                 dull[r],
-                self._lit(r, material, light.split),
+                _lit(material, light.split),
                 Around(means[r], self.model.clustered[r].meets, *others) if self.model.bounces else None,
             )
             for r, material in enumerate(tables)
@@ -281,17 +281,6 @@ class LobeSteps(nn.Module):
         points, own = self.points[region], self.model.clustered[region]
         return SurfaceBlocks(points.position, points.frame, None, own.cuts, own.place)
 
-    def _lit(
-        self, region: int, material: LobeMaterial, light: SplitLight
-    ) -> list[tuple[Gloss, GlossLight, Tensor | None]]:
-        """The lobes of a region, each with its light and share (v, c)."""
-        place = self.model.clustered[region].place
-        return [
-            (layer.gloss, _light_for(layer.gloss, light), None if layer.share is None else layer.share[place])
-            for layer in material.layers
-            if layer.gloss is not None
-        ]
-
     def radiance(self, exitant: Sequence[LobeRegion], eye: Tensor) -> Tensor:
         """The view step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""
         return torch.cat([self._radiance(r, region, eye) for r, region in enumerate(exitant)])
@@ -301,9 +290,17 @@ class LobeSteps(nn.Module):
         at = eye if eye.ndim == 1 else own.in_line(eye[self.own[r]])
         out = region.dull
         for gloss, light, share in region.layers:
-            shining = self._operations.shine(region.surface, at, own.seen, gloss, light, region.around)
-            out = out + _some(shining, share)
+            out = out + self._operations.shine(region.surface, at, own.seen, gloss, light, region.around, share)
         return out
+
+
+def _lit(material: LobeMaterial, light: SplitLight) -> list[tuple[Gloss, GlossLight, Tensor | None]]:
+    """The lobes of a material, each with its light and share (c, n)."""
+    return [
+        (layer.gloss, _light_for(layer.gloss, light), None if layer.share is None else layer.share.T.contiguous())
+        for layer in material.layers
+        if layer.gloss is not None
+    ]
 
 
 def _light_for(gloss: Gloss, light: SplitLight) -> GlossLight:

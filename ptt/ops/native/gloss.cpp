@@ -289,6 +289,13 @@ static inline void lamp(const Shine &g, int64_t v, const Look &at, int64_t m, fl
     }
 }
 
+// The share of the material at a group, channel by channel; says whether there is any
+static inline bool shared(const Shine &g, int64_t v, Lanes *share) {
+    Ints some = {};
+    for (int c = 0; c < 3; ++c) share[c] = g.share ? load(g.share + c * g.n + v) : all(1), some |= share[c] != 0;
+    return any(some);
+}
+
 extern "C" int32_t ptt_shine(const Shine *given) {
     const Shine g = *given;
     if (g.lobes > MOST_CELLS) return UNKNOWN;
@@ -300,11 +307,15 @@ extern "C" int32_t ptt_shine(const Shine *given) {
         Look at;
         for (int64_t i = first; i < end; ++i) {
             const int64_t later = std::min(i + AHEAD, end - 1) * LANES;
-            look(g, i * LANES, at);
-            alignas(64) float sums[LANES][CHANNELS];
-            reflect(g, i * LANES, at, later, sums);
-            for (int64_t m = 0; m < g.sources; ++m) lamp(g, i * LANES, at, m, sums);
-            for (int l = 0; l < LANES; ++l) std::memcpy(g.line + 3 * (i * LANES + l), sums[l], 3 * sizeof(float));
+            alignas(64) float sums[LANES][CHANNELS] = {};
+            Lanes share[3];
+            if (shared(g, i * LANES, share)) {
+                look(g, i * LANES, at);
+                reflect(g, i * LANES, at, later, sums);
+                for (int64_t m = 0; m < g.sources; ++m) lamp(g, i * LANES, at, m, sums);
+            }
+            for (int l = 0; l < LANES; ++l)
+                for (int c = 0; c < 3; ++c) g.line[3 * (i * LANES + l) + c] = share[c][l] * sums[l][c];
         }
 #pragma omp barrier
         for (int64_t p = g.points * t / of; p < g.points * (t + 1) / of; ++p)

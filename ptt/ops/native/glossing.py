@@ -37,13 +37,19 @@ WORDS = (BITS * BITS // 8 + WIDE_SIDE * WIDE_SIDE + WIDEST_SIDE * WIDEST_SIDE) /
 
 @inlined
 def shine(
-    points: SurfaceBlocks, eye: Tensor, seen: Tensor, gloss: Gloss, light: GlossLight, around: Around | None = None
+    points: SurfaceBlocks,
+    eye: Tensor,
+    seen: Tensor,
+    gloss: Gloss,
+    light: GlossLight,
+    around: Around | None = None,
+    share: Tensor | None = None,
 ) -> Tensor:
     """B (v, c), as `ptt.ops.gloss.shine`."""
     table, turns = gloss.lobes
     other = (None,) * len(Around._fields) if around is None else tuple(around)
     result: Tensor = _shine(
-        points.position, points.frame, points.place, eye, seen, table, turns, gloss.values, *light, *other
+        points.position, points.frame, points.place, eye, seen, table, turns, gloss.values, *light, share, *other
     )
     return result
 
@@ -63,6 +69,7 @@ class _Shine(NamedTuple):
     turn: Tensor
     lamps: Tensor
     powers: Tensor
+    share: Tensor | None
     mean: Tensor | None
     meets: Tensor | None
     records: Tensor | None
@@ -78,7 +85,7 @@ def _plain(*arguments: Any) -> Tensor:
     points = SurfaceBlocks(g.position, g.frame, None, g.position.new_empty(0), g.place)
     gloss = Gloss(Lobes(g.table, g.turns), g.values, g.table[:0], sharp=False)
     around = None if g.meets is None else Around(*arguments[-len(Around._fields) :])
-    return plain.shine(points, g.eye, g.seen, gloss, light, around)
+    return plain.shine(points, g.eye, g.seen, gloss, light, around, g.share)
 
 
 def _conditions(*arguments: Any) -> Conditions:
@@ -99,6 +106,9 @@ def _conditions(*arguments: Any) -> Conditions:
     yield g.maps.ndim == 3 and g.maps.shape[::2] == (LEVELS, CHANNELS), f"maps must be ({LEVELS}, cells, 4)"
     yield g.maps.shape[1] > 1 and square(g.maps.shape[1]), "maps must be square"
     yield g.turn.shape == (3, 3), "turn must be (3, 3)"
+    if g.share is not None:
+        yield of_type(torch.float32, g.share) and contiguous(g.share), "shares must be float32, contiguous"
+        yield g.share.shape == (3, n), "shares must be (3, n)"
     if g.meets is not None:
         yield from _of_around(g, Around(*arguments[-len(Around._fields) :]))
 
@@ -144,6 +154,7 @@ def _kernel(*arguments: Any) -> Tensor:
         lamps=g.lamps.contiguous(),
         powers=g.powers.contiguous(),
         seen=g.seen,
+        share=g.share,
         mean=g.mean,
         meets=g.meets,
         records=g.records,
@@ -166,7 +177,7 @@ def _kernel(*arguments: Any) -> Tensor:
 
 _shine = operator(
     "shine(Tensor position, Tensor frame, Tensor place, Tensor eye, Tensor seen, Tensor table, int turns, "
-    "Tensor values, Tensor maps, Tensor turn, Tensor lamps, Tensor powers, Tensor? mean, Tensor? meets, "
+    "Tensor values, Tensor maps, Tensor turn, Tensor lamps, Tensor powers, Tensor? share, Tensor? mean, Tensor? meets, "
     "Tensor? records, Tensor? sent, Tensor? all_seen, Tensor? tables, Tensor? whole) -> Tensor",
     plain=_plain,
     kernel=_kernel,

@@ -81,6 +81,7 @@ struct View {
 
 struct Shine {
     const float *position, *frame, *eye, *table, *values, *maps, *turn, *lamps, *powers;
+    const float *share;                                   // null for all of the material everywhere
     const float *mean, *records, *sent, *tables, *whole;  // of what lies around
     const int32_t *meets;                          // null where nothing does
     const uint8_t *seen, *all_seen;                // of each point bits, then bytes

@@ -26,6 +26,7 @@ class Inputs(NamedTuple):
     gloss: Gloss
     light: GlossLight
     around: Around | None = None
+    share: Tensor | None = None
 
 
 def inputs(
@@ -73,7 +74,7 @@ def in_double(x: Inputs) -> Inputs:
         lobes=x.gloss.lobes._replace(table=x.gloss.lobes.table.double()), values=x.gloss.values.double()
     )
     around = x.around and Around(*(t.double() if t.is_floating_point() else t for t in x.around))
-    return Inputs(points, x.eye.double(), x.seen, gloss, GlossLight(*(t.double() for t in x.light)), around)
+    return Inputs(points, x.eye.double(), x.seen, gloss, GlossLight(*(t.double() for t in x.light)), around, x.share)
 
 
 def surroundings(n: int, p: int, g: torch.Generator) -> Around:
@@ -157,6 +158,15 @@ def test_agrees_head_on_and_facing_away(built: None, calls: list[int]) -> None:
 def test_agrees_for_what_lies_around(built: None, calls: list[int], lobes: int, lamps: int) -> None:
     x = inputs(lobes, lamps)
     agree(x._replace(around=surroundings(x.points.position.shape[1], 50, torch.Generator().manual_seed(lobes))), calls)
+
+
+def test_agrees_where_the_material_is_a_part(built: None, calls: list[int]) -> None:
+    """Groups without any of it are left out."""
+    x = inputs()
+    share = torch.rand(3, 96, generator=torch.Generator().manual_seed(2))
+    share[:, 32:64] = 0
+    share[:2, 70] = 0
+    agree(x._replace(share=share), calls)
 
 
 def test_what_is_hidden_is_dark(built: None) -> None:

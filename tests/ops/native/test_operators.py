@@ -114,7 +114,7 @@ def shine() -> None:
     around = Around(uniform(3, n), meets, records, uniform(3, SENT), seen, uniform(TILTS, SENT), maps)
     for lamps, other in ((0, None), (2, around)):
         light = GlossLight(maps, torch.eye(3), uniform(lamps, 3), uniform(lamps, 3))
-        native.shine(surface, torch.tensor([0.2, 0.4, 5.0]), seen, gloss, light, other)
+        native.shine(surface, torch.tensor([0.2, 0.4, 5.0]), seen, gloss, light, other, uniform(3, n))
     native.irradiance(surface.frame, seen, light.lamps, light.powers)
     native.cell_sums(uniform(3, 3, 40), uniform(6, 40, 3), 4)
 
