@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from ptt.io import saved
+from ptt.materials.shapes import Named
 from ptt.materials.spaces import BRDFSpace
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.clustered_transfer import ClusteredTransfer
@@ -27,8 +28,10 @@ lobes (Sun et al. 2007)."""
 
 
 def usual_highlights(space: BRDFSpace) -> Highlights:
-    """Narrow lobes; the tensor for brushed shapes, for which narrow lobes have no kernel yet."""
-    return "lobes" if space.isotropic else "tensor"
+    """Narrow lobes; the tensor for brushed shapes, for which narrow lobes have no kernel yet, and for BRDFs of the
+    user's own, whose functions a saved model lacks."""
+    named = any(isinstance(sample, Named) for sample in space.samples)
+    return "tensor" if named or not space.isotropic else "lobes"
 
 
 class SparseTransfer(NamedTuple):
@@ -106,10 +109,13 @@ class TransferModel(nn.Module):
         kind = f"{clusters} clusters" if clusters else "direct light of each point"
         size = sum(buffer.numel() * buffer.element_size() for buffer in self.buffers()) / 1e6
         shapes = sorted({sample.model for sample in self.brdf.space.samples})
+        means = f"a tensor and lobes of {self.brdf.angles} degrees"
+        if self.highlights == "lobes":
+            means = "narrow lobes"
         return (
             f"TransferModel of {len(self.positions)} points, {self.bounces} bounces, {kind}, {size:.0f} MB\n"
             f"  regions: {', '.join(self.receivers.names)}\n"
-            f"  shows {', '.join(shapes)} ({len(self.brdf.space.samples)} samples, lobes of {self.brdf.angles} degrees)"
+            f"  shows {', '.join(shapes)} ({len(self.brdf.space.samples)} samples) by {means}"
         )
 
     def __init__(

@@ -152,6 +152,15 @@ def test_a_furnace_with_surfaces_around(scene: ptt.Scene, bounced: ptt.TransferM
     assert float(got[rows].max()) < 1.05
 
 
+def test_the_default_is_lobes_but_for_brushed_and_measured_shapes(raw: ptt.RawTransfer) -> None:
+    silk = ptt.BRDFSpace.ggx().with_brdf("silk", lambda wi, wo: 0.1 * torch.ones_like(wi[..., 0]))
+    assert ptt.usual_highlights(ptt.BRDFSpace.ggx()) == "lobes"
+    assert ptt.usual_highlights(silk) == ptt.usual_highlights(ptt.BRDFSpace.ward(anisotropic=True)) == "tensor"
+    space = ptt.BRDFSpace.ggx((0.2, 0.3))
+    brdf = ptt.TensorBRDF.fit(space, (2, 4, 4), separated=1)
+    assert ptt.compress(raw, brdf=brdf).highlights == ptt.compress(raw, highlights="tensor").highlights == "tensor"
+
+
 def test_what_does_not_go_together_is_refused(raw: ptt.RawTransfer, model: ptt.TransferModel) -> None:
     with pytest.raises(ValueError, match="highlights must be one of lobes, tensor"):
         ptt.compress(raw, highlights="gloss")  # type: ignore[arg-type]
