@@ -144,7 +144,8 @@ def test_a_damaged_library_is_built_anew(folder: Path, damage: str) -> None:
 def test_an_interrupted_build_leaves_nothing_behind(folder: Path, compiler: Callable[[str], None]) -> None:
     started = folder.parent / "started"
     compiler(f'[[ "$*" == *-shared* ]] && {{ touch {started}; sleep 60; }}')
-    code = "from ptt.ops.native import building; building.build(['maps'])"
+    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)  # which `&` in a shell turns off\n"
+    code += "from ptt.ops.native import building; building.build(['maps'])"
     process = subprocess.Popen([sys.executable, "-c", code], start_new_session=True, stderr=subprocess.DEVNULL)
     while not started.exists():
         assert process.poll() is None
