@@ -109,9 +109,8 @@ class TransferModel(nn.Module):
         kind = f"{clusters} clusters" if clusters else "direct light of each point"
         size = sum(buffer.numel() * buffer.element_size() for buffer in self.buffers()) / 1e6
         shapes = sorted({sample.model for sample in self.brdf.space.samples})
-        means = f"a tensor and lobes of {self.brdf.angles} degrees"
-        if self.highlights == "lobes":
-            means = "narrow lobes"
+        by_tensor = f"a tensor and lobes of {self.brdf.angles} degrees"
+        means = "narrow lobes" if self.highlights == "lobes" else by_tensor
         return (
             f"TransferModel of {len(self.positions)} points, {self.bounces} bounces, {kind}, {size:.0f} MB\n"
             f"  regions: {', '.join(self.receivers.names)}\n"

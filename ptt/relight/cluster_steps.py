@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from ptt.light.environment import Environment
-from ptt.materials.material import Material
+from ptt.materials.material import LayersAt, Material
 from ptt.materials.varying import SurfaceMaterial, Varying, all_shares
 from ptt.models import slots
 from ptt.models.cache import Cache, watched
@@ -193,13 +193,7 @@ class ClusterSteps(nn.Module):
             (layer, share) for layer, share in zip(material.layers, shares, strict=True) if bool((share > 0).any())
         ]
         layers = [self._layer(layer, share)[0] for layer, share in there]
-        if material is own:
-            functions = slots.whole_of(self.basis)
-        else:
-            colours = self.model.colours[self._rows()[region]]
-            tint = at.colour.mean(0).to(colours) / colours.mean(0).clamp(min=1e-6)
-            whole = not isinstance(own, Material)
-            functions = slots.mean_of(self.basis, material.layers, shares, tint, whole)
+        functions = varying_functions(self.model, region, material, own, at, shares)
         return RegionMaterial(functions, layers, self.model.clustered[region].in_line(at.colour.to(shares)))
 
     def _layer(self, material: Material, share: Tensor | None) -> tuple[LayerTables, Tensor]:
@@ -299,6 +293,22 @@ class ClusterSteps(nn.Module):
 
 def _some(radiance: Tensor, share: Tensor | None) -> Tensor:
     return radiance if share is None else radiance * share
+
+
+def varying_functions(
+    model: TransferModel, region: int, material: Varying, own: SurfaceMaterial, at: LayersAt, shares: Tensor
+) -> Tensor:
+    """A region's part of H (1 + p + 1, c) for a material that varies: its own whole, another one by its mean.
+
+    at, shares (k, n, c): its layers at the region's points
+    """
+    assert model.basis is not None
+    if material is own:
+        return slots.whole_of(model.basis)
+    first, end = model.receivers.spans[region]
+    colours = model.colours[first:end]
+    tint = at.colour.mean(0).to(colours) / colours.mean(0).clamp(min=1e-6)
+    return slots.mean_of(model.basis, material.layers, shares, tint, not isinstance(own, Material))
 
 
 def slot_weights(

@@ -26,13 +26,14 @@ from ptt.models.cache import Cache, watched
 from ptt.models.clustered_transfer import ClusteredTransfer
 from ptt.models.indirect import COARSE, COARSEST
 from ptt.models.transfer_model import TransferModel
+from ptt.ops import haar
 from ptt.ops.cells import Gloss, gloss_of, width
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.constants import LEVELS, RECORD, SENT, TILTS, TINY
 from ptt.ops.gloss import Around, GlossLight
 from ptt.ops.relight import expand
 from ptt.ops.view import SurfaceBlocks
-from ptt.relight.cluster_steps import RegionPoints, slot_weights
+from ptt.relight.cluster_steps import RegionPoints, slot_weights, varying_functions
 from ptt.relight.light_step import LightStep, SplitLight
 from ptt.relight.operations import operations
 
@@ -119,8 +120,9 @@ class LobeSteps(nn.Module):
         }
         for name, tensor in tensors.items():
             self.register_buffer(name, tensor, persistent=False)
+        even = haar.analyse(model.frames.new_ones(3, *model.grid.shape)).flatten(1)
         for points, region in zip(self.points, model.clustered, strict=True):
-            points.register_buffer("hidden", 1 - self._sky(region), persistent=False)
+            points.register_buffer("hidden", 1 - self._sky(region, even), persistent=False)
         self._materials = [Cache() for _ in model.clustered]
 
     def _records(self) -> Tensor:
@@ -134,11 +136,13 @@ class LobeSteps(nn.Module):
         record = torch.cat((self.model.frames.flatten(1), torch.cat(places).to(self.model.frames)), 1)
         return pad(record, (0, RECORD - record.shape[1]))
 
-    def _sky(self, region: ClusteredTransfer) -> Tensor:
-        """The share of the hemisphere, by cosine, in which a region's points in blocks (n, 1) see the sky."""
-        light = self.light(Environment.constant(1.0)).flatten(1)
-        even = self._operations.light_eigen(region.direct, light, region.columns)
-        return (self._at_points(region, even[..., None])[:, :1, 0] / math.pi).clamp(0, 1 - OPEN)
+    def _sky(self, region: ClusteredTransfer, even: Tensor) -> Tensor:
+        """The share of the hemisphere, by cosine, in which a region's points in blocks (n, 1) see the sky.
+
+        even (c, l): the lighting of 1 from everywhere
+        """
+        arriving = self._operations.light_eigen(region.direct, even, region.columns)
+        return (self._at_points(region, arriving[..., None])[:, :1, 0] / math.pi).clamp(0, 1 - OPEN)
 
     @staticmethod
     def _at_points(region: ClusteredTransfer, eigen: Tensor) -> Tensor:
@@ -206,12 +210,7 @@ class LobeSteps(nn.Module):
             if bool((share > 0).any()):
                 layers.append(self._layer(layer, blocks.in_line(share).T))
                 means.append(share.mean(0))
-        if material is own:
-            functions = slots.whole_of(self.basis)
-        else:
-            colours = self.model.colours[self.own[region]]
-            tint = at.colour.mean(0).to(colours) / colours.mean(0).clamp(min=1e-6)
-            functions = slots.mean_of(self.basis, material.layers, shares, tint, not isinstance(own, Material))
+        functions = varying_functions(self.model, region, material, own, at, shares)
         return LobeMaterial(functions, layers, blocks.in_line(at.colour.to(shares)).T, _whole(layers, means))
 
     def _layer(self, material: Material, share: Tensor | None) -> LobeLayer:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, ClassVar
 
@@ -44,13 +44,14 @@ class Relighter(nn.Module, ABC):
     lights: ClassVar[tuple[type, ...]] = (Environment,)
     """What may light it."""
     sources_in_c: ClassVar[tuple[str, ...]]
-    """The files of kernels that the steps call, in `ptt/ops/native`."""
+    """The files of kernels that the steps may call, in `ptt/ops/native`."""
 
-    def __init__(self, compiled: bool) -> None:
+    def __init__(self, compiled: bool, sources: Sequence[str] | None = None) -> None:
+        """sources: the files of kernels that are called, where they are not all of `sources_in_c`"""
         super().__init__()
         self.compiled = compiled
         if compiled:
-            native.prepare(*self.sources_in_c)
+            native.prepare(*(self.sources_in_c if sources is None else sources))
         self._incident = Cache()
         self._exitant = Cache()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 from torch import Tensor, nn
 
@@ -13,7 +13,6 @@ from ptt.materials.material import Material
 from ptt.materials.varying import SurfaceMaterial, same
 from ptt.models.cache import Cache
 from ptt.models.transfer_model import TransferModel
-from ptt.ops import native
 from ptt.ops.compiling import in_python, uncompiled
 from ptt.ops.constants import MOST_CELLS
 from ptt.relight.cluster_steps import ClusterSteps
@@ -45,14 +44,16 @@ class TransferRelighter(Relighter):
     """
 
     pixels = False
-    sources_in_c = ("maps", "light", "brdf", "view")
+    sources_in_c = ("maps", "light", "brdf", "view", "cells", "gloss")
+    sources_by_highlights: ClassVar[dict[str, tuple[str, ...]]] = {
+        "tensor": ("maps", "light", "brdf", "view"),
+        "lobes": ("maps", "light", "cells", "gloss"),
+    }
 
     def __init__(self, model: TransferModel, compiled: bool = True, lobes: int = 16) -> None:
-        super().__init__(compiled)
+        super().__init__(compiled, self.sources_by_highlights[model.highlights])
         if not 1 <= lobes <= MOST_CELLS:
             raise ValueError(f"lobes must be in 1..{MOST_CELLS}, got {lobes}")
-        if compiled and model.highlights == "lobes":
-            native.prepare("cells", "gloss")
         self.model = model
         self.steps = _steps(model, compiled, lobes)
         self._sources = list(model.modules())

@@ -1,4 +1,4 @@
-"""Glossy reflection of direct light as operators; their plain functions are those of `ptt.ops.gloss`."""
+"""Narrow lobes as operators; their plain functions are those of `ptt.ops.gloss` and `ptt.ops.cells`."""
 
 from __future__ import annotations
 
