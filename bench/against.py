@@ -23,7 +23,6 @@ from ptt.scene.parts import Part
 IMAGES = ROOT / "docs" / "images"
 # relative RMSE in total and of the indirect part; paper-16 has the eigenvectors of the paper's Watch scene
 GOALS = {"uncompressed": ("<= 0.03", "<= 0.1"), "paper": ("<= 0.06", ""), "own": ("<= 0.04", ""), "paper-16": ("", "")}
-SAMPLES = 16384
 
 
 def facing(scene: ptt.Scene, most: int) -> Tensor:
@@ -42,8 +41,8 @@ def right(
     raw: ptt.RawTransfer,
     transfer: Any,
     models: Mapping[str, ptt.TransferModel],
-    vertices: int = 600,
-    samples: int = SAMPLES,
+    vertices: int,
+    samples: int,
 ) -> None:
     """Against the path tracer with the same two bounces; every material after the first is an edit of the model."""
     rows = facing(scene, vertices)

@@ -63,7 +63,7 @@ def scene_rows(name: str) -> list[dict[str, str]]:
     data = Path(os.environ["PTT_DATA"]) / "hdri"
     lights = {key: ptt.Environment.load(data / file) for key, file in LIGHTS.items()}
     raw, transfer, models = built(table, name, scene, case)
-    right(table, name, scene, case, lights, raw, transfer, models, case.vertices)
+    right(table, name, scene, case, lights, raw, transfer, models, case.vertices, case.samples)
     pictures(name, scene, case, lights, models["own"])
     material = case.materials()["moderate"]
     speed(table, name, scene, material, (case.table[0], case.table[4]), lights["uffizi"], models)
