@@ -20,6 +20,7 @@ from torch import Tensor, nn
 from ptt.io.saved import Shapes
 from ptt.models.indirect import ORDER
 from ptt.ops.compiling import in_python
+from ptt.ops.constants import MEETS
 from ptt.ops.memory import in_large_pages
 from ptt.ops.octahedral import Octahedral, tiles
 from ptt.ops.tucker import Tucker, multiply
@@ -57,7 +58,7 @@ class ClusteredTransfer(nn.Module):
     lighting (k, l', n): the cluster's own lighting axis, from coefficients of the coarse one
     one (k, n, q * e * s): T1 on it; two (k, l'', pairs * e): T2 on the coarsest lighting
     cuts (b * WIDTH, cells) int32: fractional visibility of the lobes, a byte each; cells = 0 where there are none
-    seen (b * WIDTH, words), meets (b * WIDTH, cells) int32: what is seen of the hemisphere, and which points of the
+    seen (b * WIDTH, words), meets (b * WIDTH, words) int32: what is seen of the hemisphere, and which points of the
         model (`ops.gloss`); nothing without narrow lobes, which also leave of s the constant alone
     """
 
@@ -246,7 +247,7 @@ class ClusteredTransfer(nn.Module):
             "meets": points + 1,
         }
         numbers = {name: torch.tensor(config[name]) for name in ("slots", "pairs")}
-        numbers["meets"] = tensors["meets"] + 1  # -1 is for none
+        numbers["meets"] = tensors["meets"][:, : MEETS * MEETS] + 1  # -1 is for none
         for name, limit in limits.items():
             index = {**tensors, **numbers}[name]
             if index.numel() and not 0 <= int(index.min()) <= int(index.max()) < limit:

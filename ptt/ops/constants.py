@@ -44,6 +44,9 @@ WIDEST_SIDE = 8
 MEETS = 24
 """Cells along the edge of the map of which points a point sees."""
 
+NORMAL = 127
+"""The number that stands for 1 in the signed bytes of a normal."""
+
 SPREAD = 5
 """The width of lobes, 14 degrees, from which what they see of surfaces goes over to the mean of all that a point sees,
 which those of the last width see."""

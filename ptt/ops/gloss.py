@@ -25,10 +25,24 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from ptt.ops.cells import Gloss, frames, octaves
-from ptt.ops.constants import BITS, LEVELS, MEETS, SECTORS, SHARPEST, SPREAD, TILTS, TINY, WIDE_SIDE, WIDEST_SIDE
-from ptt.ops.octahedral import corners, hemi_octahedral, mix, octahedral
+from ptt.ops.constants import (
+    BITS,
+    HEAD_ON,
+    LEVELS,
+    MEETS,
+    NORMAL,
+    SECTORS,
+    SHARPEST,
+    SPREAD,
+    TILTS,
+    TINY,
+    WIDE_SIDE,
+    WIDEST_SIDE,
+)
+from ptt.ops.octahedral import corners, from_hemi_octahedral, hemi_octahedral, mix, octahedral
 from ptt.ops.view import BYTE, SurfaceBlocks, local_directions
 
 SHARES = {10.0: WIDE_SIDE, 20.0: WIDEST_SIDE}
@@ -38,6 +52,9 @@ Bilinear lookups in maps so coarse make them 14 and 28: in a trial on 160 points
 lobes) under two maps without lamps, shares of 14 and 28 degrees left 4.9 and 4.7 % of error, of 10 and 20 4.5 and 4.6,
 and maps of 24 x 24 cells for 7, 14 and 28 degrees, of three times the size, 4.3 and 4.1.
 """
+
+MET = MEETS * MEETS * 3 // 2
+"""Words that say which points a point sees, and with which normals."""
 
 AT_ONCE = 4096  # points that are worked out together, so that they stay in the cache
 
@@ -59,7 +76,8 @@ class Around(NamedTuple):
     """What n points may see of each other, p points in all.
 
     mean (3, n): S of each of the n
-    meets (n, MEETS * MEETS) int32: which point each sees about the axes of a `HemiOctahedral` map; -1 for none
+    meets (n, MET) int32: which point each sees about the axes of a `HemiOctahedral` map, -1 for none, and then the
+        normals there, in the frames of those points (`transfer.meets`)
     points (p, RECORD): of all: rows of the frame, and, as whole numbers, their rows of `seen` and the first of their
         region's in `tables`; zeros
     sent (p, SENT): of all: D, S; zeros
@@ -157,24 +175,40 @@ def _from_points(around: Around, frame: Tensor, axes: Tensor, turn: Tensor) -> T
     ends: in a trial on a statue of gold of roughness 0.2, from one to the other erred by 42 %, this by 25.
     """
     place = ((hemi_octahedral(axes) + 1) * (MEETS / 2)).floor().clamp(0, MEETS - 1).long()
-    met = around.meets.gather(1, place[..., 1] * MEETS + place[..., 0]).long()
+    cell = place[..., 1] * MEETS + place[..., 0]
+    met = around.meets.gather(1, cell).long()
+    normal = _normals(around.meets, cell).to(axes)
     of_point = around.points[met.clamp(min=0)]
     wo = -(of_point[..., :9].unflatten(-1, (3, 3)) @ (axes @ frame)[..., None])[..., 0]
-    there = torch.nonzero((met >= 0) & (wo[..., 2] > 0), as_tuple=True)
-    sent = _as_one_lobe(around, met[there], of_point[there], wo[there], turn)
+    there = torch.nonzero((met >= 0) & ((wo * normal).sum(-1) > 0), as_tuple=True)
+    sent = _as_one_lobe(around, met[there], of_point[there], normal[there], wo[there], turn)
     return sent.new_zeros(*met.shape, sent.shape[1]).index_put(there, sent)
 
 
-def _as_one_lobe(around: Around, met: Tensor, of_point: Tensor, wo: Tensor, turn: Tensor) -> Tensor:
-    """B (m, c) of points by their numbers (m,), their records (m, RECORD) and local directions (m, 3) of view.
+def _normals(meets: Tensor, cell: Tensor) -> Tensor:
+    """Normals (n, k, 3) of what points see in some cells (n, k), in the frames of what they see."""
+    coordinates = meets[:, MEETS * MEETS :].view(torch.int8).unflatten(1, (-1, 2))
+    chosen = coordinates.gather(1, cell[..., None].expand(-1, -1, 2))
+    return normalize(from_hemi_octahedral(chosen / NORMAL), dim=-1)
 
-    The nearest row of the table and the nearest width serve: what comes of many such points is a mean.
+
+def _as_one_lobe(around: Around, met: Tensor, of_point: Tensor, normal: Tensor, wo: Tensor, turn: Tensor) -> Tensor:
+    """B (m, c) of points by their numbers (m,), their records (m, RECORD), and local normals and directions of view
+    (m, 3).
+
+    The nearest row of the table and the nearest width serve: what comes of many such points is a mean. Normals are
+    interpolated: in a trial on a statue of gold of roughness 0.2, 0.3 and 0.5 those of the vertices left 39, 35 and
+    12 % of error in light that bounces, these 28, 26 and 10.
     """
-    row = (wo[:, 2] * (TILTS - 0.5) - 0.5).round().clamp(0, TILTS - 1) + of_point[:, 10]
+    cosine = (wo * normal).sum(1, keepdim=True)
+    row = (cosine[:, 0] * (TILTS - 0.5) - 0.5).round().clamp(0, TILTS - 1) + of_point[:, 10]
     table = around.tables[row.long()]
-    axis = table[:, None, :3] @ frames(wo)  # shape: (m, 1, 3)
+    flat = wo - cosine * normal
+    sine = flat.square().sum(1, keepdim=True).clamp(min=HEAD_ON**2).sqrt()
+    along = cosine / sine * flat + sine * normal
+    axis = (table[:, :1] * along + table[:, 2:3] * (cosine * normal - flat))[:, None]  # shape: (m, 1, 3)
     level = table[:, None, 3].detach().round()
-    through = visible(around.seen[of_point[:, 9].long()], axis, level)
+    through = visible(around.seen[of_point[:, 9].long()], axis, level) * (axis[..., 2] > 0)
     lit = blurred(around.maps, axis @ of_point[:, :9].unflatten(-1, (3, 3)) @ turn, level)[:, 0]
     dull, mean = around.sent[met][:, :3], around.sent[met][:, 3:6]
     return dull + table[:, 4:7] * torch.lerp(mean, lit, through)

@@ -47,6 +47,14 @@ def hemi_octahedral(d: Tensor) -> Tensor:
     return _last((x + y, x - y))
 
 
+def from_hemi_octahedral(ab: Tensor) -> Tensor:
+    """Directions (..., 3) of |x| + |y| + |z| = 1 at coordinates (a, b) (..., 2) on the map of the hemisphere."""
+    a, b = ab.unbind(-1)
+    x = (a + b) / 2
+    y = (a - b) / 2
+    return _last((x, y, 1 - x.abs() - y.abs()))
+
+
 def corners(ab: Tensor, n: int, wrap: bool) -> tuple[Tensor, Tensor]:
     """Cells (..., 4) int64 and weights (..., 4) of a bilinear lookup at ab (..., 2) in a flat table (n * n, ...).
 
@@ -171,9 +179,7 @@ class HemiOctahedral(_OctahedralGrid):
         return hemi_octahedral(d)
 
     def _octahedron_points(self, b: Tensor, a: Tensor) -> Tensor:
-        x = (a + b) / 2
-        y = (a - b) / 2
-        return torch.stack((x, y, 1 - x.abs() - y.abs()), dim=-1)
+        return from_hemi_octahedral(torch.stack((a, b), -1))
 
 
 def _on_octahedron(d: Tensor) -> tuple[Tensor, Tensor, Tensor]:

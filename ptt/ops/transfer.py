@@ -17,7 +17,8 @@ import torch
 from torch import Tensor
 
 from ptt.ops import lobes
-from ptt.ops.octahedral import HemiOctahedral, sampled
+from ptt.ops.constants import NORMAL, TINY
+from ptt.ops.octahedral import HemiOctahedral, hemi_octahedral, sampled
 from ptt.ops.raycast import Hits, Surface
 from ptt.ops.sphere import Cube
 
@@ -59,14 +60,25 @@ def gather(surface: Surface, faces: Tensor, points: Tensor, frames: Tensor, loca
     return _corners(faces, hits, corner).reshape(u.shape)
 
 
-def meets(surface: Surface, faces: Tensor, points: Tensor, frames: Tensor, local: Tensor) -> Tensor:
-    """The vertex (v, n) int32 that each point sees in each local direction (n, 3): the nearest of the triangle; -1 for
-    none.
+def meets(surface: Surface, faces: Tensor, shading: Tensor, points: Tensor, frames: Tensor, local: Tensor) -> Tensor:
+    """What each point sees in each local direction (n, 3), n even: (v, n + n / 2) int32, first the vertices, the
+    nearest of the triangle, -1 for none, and then the normals there, two signed bytes each.
+
+    A normal is interpolated between vertices. Its bytes are 127ths of its coordinates on the map of the hemisphere
+    (`hemi_octahedral`) in the frame of the vertex, to 0.6 degrees.
 
     surface, faces, points, frames: as for `gather`; back faces show nothing
+    shading (p, 3, 3): frames of all vertices
     """
     hits = _first_hits(surface, points, frames, local)
-    return _corners(faces, hits, hits.barycentric.argmax(1)).reshape(len(points), len(local))
+    met = _corners(faces, hits, hits.barycentric.argmax(1))
+    corner_normals = shading[faces[hits.triangle.clamp(min=0)], 2]  # shape: (v * n, 3, 3)
+    normal = (hits.barycentric[:, None].to(shading) @ corner_normals)[:, 0]
+    own = (shading[met.clamp(min=0).long()] @ normal[..., None])[..., 0]
+    own[:, 2].clamp_(min=TINY)
+    packed = (hemi_octahedral(own) * NORMAL).round().to(torch.int8) * (met >= 0)[:, None]
+    words = packed.flatten().view(torch.int32).reshape(len(points), len(local) // 2)
+    return torch.cat((met.reshape(len(points), len(local)), words), 1)
 
 
 def _first_hits(surface: Surface, points: Tensor, frames: Tensor, local: Tensor) -> Hits:

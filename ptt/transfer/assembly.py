@@ -94,7 +94,7 @@ class Transfer:
     raw, brdf, basis: what it was made from
     direct, indirect: T0, and T1 and T2
     cuts (v, cells, k) uint8: fractional visibility of the lobes (`transfer.lobe_visibility`)
-    seen (v, words), meets (v, cells) int32: what points see of their hemispheres, and which points
+    seen (v, words), meets (v, words) int32: what points see of their hemispheres, and which points
         (`transfer.hemispheres`, `transfer.meets`); nothing of it without narrow lobes
     weights: what each part adds to the picture
     highlights: how direct light is reflected glossily (`Highlights`)

@@ -29,8 +29,8 @@ class RawTransfer:
     receivers: v points
     visible (v, cells / 8) uint8: packed bits that say which of the 6 n n cells of the cube map each point sees
     hits (v, rays) int32: vertex that each point sees in each direction of `transfer.gather_directions`; -1 for none
-    meets (v, cells) int32: the same about the axes of a map of the hemisphere (`transfer.meets`); no cells without
-        bounces
+    meets (v, words) int32: the vertex that it sees about each axis of a map of the hemisphere, and the normals there
+        (`transfer.meets`); nothing without bounces
     resolution: n, cells along an edge of the cube map
     bounces: number of bounces for which the hits were traced
     """
@@ -81,8 +81,7 @@ class RawTransfer:
                 "meets": (torch.int32, (v, config["meets"])),
             }
             saved.check(tensors, {**expected, **Receivers.expected(config)})
-            for name in ("hits", "meets"):
-                found = tensors[name]
+            for name, found in (("hits", tensors["hits"]), ("meets", tensors["meets"][:, : MEETS * MEETS])):
                 if found.numel() and not -1 <= int(found.min()) <= int(found.max()) < v:
                     got = f"{int(found.min())}..{int(found.max())}"
                     raise ValueError(f"holds wrong {name}: must be in -1..{v - 1}, got {got}")
@@ -138,7 +137,7 @@ def precompute(
             visible.append(transfer.visibility(scene.surface, positions, frames[:, 2], directions))
             u = torch.rand(len(positions), len(local), generator=random, dtype=torch.float32)
             hits.append(transfer.gather(scene.surface, scene.faces, positions, frames, local, u))
-            meets.append(transfer.meets(scene.surface, scene.faces, positions, frames, axes))
+            meets.append(transfer.meets(scene.surface, scene.faces, receivers.frames, positions, frames, axes))
             bar.update(len(positions))
     return RawTransfer(receivers, torch.cat(visible), torch.cat(hits), torch.cat(meets), resolution, bounces)
 

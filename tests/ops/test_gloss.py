@@ -12,8 +12,8 @@ from torch.nn.functional import normalize
 
 from ptt.materials.shapes import GGX, Analytic, BlinnPhong, CookTorrance, Ward
 from ptt.ops import cells, gloss
-from ptt.ops.constants import BITS, LEVELS, MEETS, RECORD, SENT, TILTS
-from ptt.ops.octahedral import HemiOctahedral, Octahedral, bordered
+from ptt.ops.constants import BITS, LEVELS, MEETS, NORMAL, RECORD, SENT, TILTS
+from ptt.ops.octahedral import HemiOctahedral, Octahedral, bordered, hemi_octahedral
 from ptt.ops.view import SurfaceBlocks
 
 SHAPES: list[Analytic] = [
@@ -198,7 +198,7 @@ def ceiling(sent: Tensor, table: Tensor, seen: Tensor) -> gloss.Around:
     record = torch.zeros(1, RECORD)
     record[0, :9] = torch.tensor([1.0, 0, 0, 0, -1, 0, 0, 0, -1])
     sky = light_of(lambda d: torch.where(d[:, 2] < 0, 2.0, 0.0))  # from below
-    meets = torch.zeros(16, MEETS * MEETS, dtype=torch.int32)
+    meets = torch.zeros(16, gloss.MET, dtype=torch.int32)
     return gloss.Around(torch.zeros(3, 16), meets, record, sent[None], seen[:1], table.repeat(TILTS, 1), sky.maps)
 
 
@@ -236,6 +236,24 @@ def test_a_ceiling_that_looks_away_or_is_not_there_sends_nothing() -> None:
     none = around._replace(meets=around.meets - 1)
     for other in (away, none):
         assert not gloss.shine(blocks, tilted(30.0, 0.0, 16), nothing, tables, dark, other).any()
+
+
+def test_a_ceiling_reflects_by_its_normals_and_not_by_those_of_its_vertices() -> None:
+    """A mirror whose normals lean by ten degrees shows the sky at twenty degrees; by fifty, what lies below the horizon
+    of the vertex, which is hidden."""
+    blocks, nothing = points(16, lambda d: d[:, 2] > 2)
+    shape = GGX(1.0, 0.1)
+    tables, sky = cells.gloss_of(grey(shape), True, 16), light_of(lambda d: 1 + d[:, 0])
+    mirror = torch.tensor([0.0, 0.0, 1.0, 0.0, 1.0, 1.0, 1.0, 0.0])
+    wo = tilted(0.0, 0.0, 16)
+    albedo = dense(shape, wo[:, 0], lambda d: torch.ones(len(d)))
+    around = ceiling(torch.zeros(SENT), mirror, points(16)[1])._replace(maps=sky.maps)
+    for lean in (0.0, 10.0, -10.0, 50.0):
+        own = (hemi_octahedral(tilted(lean)[:, 0]) * NORMAL).round().to(torch.int8)
+        around.meets[:, MEETS * MEETS :] = own.repeat(MEETS * MEETS).view(torch.int32)
+        got = gloss.shine(blocks, wo, nothing, tables, light_of(lambda d: torch.zeros(len(d))), around)
+        expected = 1 + math.sin(math.radians(2 * lean)) if lean < 45 else 0
+        assert float(got[0, 0]) == pytest.approx(expected * albedo, rel=0.03, abs=0.05)
 
 
 def test_wide_lobes_see_the_mean_of_surfaces() -> None:

@@ -12,7 +12,8 @@ from torch import Tensor
 import ptt
 from ptt.models.transfer_model import SparseTransfer
 from ptt.ops import haar, mesh, transfer
-from ptt.ops.octahedral import HemiOctahedral
+from ptt.ops.constants import NORMAL
+from ptt.ops.octahedral import HemiOctahedral, from_hemi_octahedral
 from ptt.ops.sphere import Cube
 from ptt.scene.parts import Part
 
@@ -174,6 +175,25 @@ def test_gather_draws_corners_by_their_barycentric_weights() -> None:
     assert torch.allclose(counts.float() / n, weights, rtol=0, atol=1.01 / n)
     order = [scene.faces[0].tolist().index(k) for k in seen.unique_consecutive().tolist()]
     assert order == [0, 1, 2]
+
+
+def test_what_is_met_is_the_nearest_vertex_and_the_normal_between_all() -> None:
+    """Straight up at weights (0.2, 0.5, 0.3) of a triangle whose vertex normals lean apart; down there is nothing."""
+    corners = torch.tensor([[-1.0, -1.0, 2.0], [0.0, 2.0, 2.0], [1.0, -1.0, 2.0]])
+    faces = torch.tensor([[0, 1, 2]])
+    leaning = torch.tensor([[-0.6, 0.0, -0.8], [0.0, 0.6, -0.8], [0.28, 0.0, -0.96]])
+    scene = ptt.Scene.from_mesh(corners, faces, normals=leaning)
+    weights = torch.tensor([0.2, 0.5, 0.3])
+    point = weights @ corners * torch.tensor([1.0, 1.0, 0.0])
+    local = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], dtype=torch.float64)
+    words = transfer.meets(scene.surface, scene.faces, scene.frames, point[None], torch.eye(3)[None], local)
+    assert words.shape == (1, 3) and words[0, :2].tolist() == [1, -1]
+    coordinates = words[:, 2:].view(torch.int8).float() / NORMAL
+    own = torch.nn.functional.normalize(from_hemi_octahedral(coordinates[0, :2]), dim=0)
+    between = torch.nn.functional.normalize(weights @ scene.frames[:, 2].float(), dim=0)
+    assert float((own @ scene.frames[1].float()) @ between) > math.cos(math.radians(0.6))
+    assert float(scene.frames[1, 2].float() @ between) < math.cos(math.radians(15))
+    assert not coordinates[0, 2:].any()
 
 
 ANGLES = (3.5, 7.0, 14.0, 21.0)

@@ -13,6 +13,7 @@ constexpr float CLEAR = 1.0f / 512;  // a lobe of which less is hidden meets not
 constexpr int AHEAD = 2;    // groups, of which what is seen is fetched
 constexpr int COLUMNS = 7;  // of a lobe: along, across, mirror, level, and w of each channel
 constexpr int WIDE_FROM = BITS * BITS / 8, WIDEST_FROM = WIDE_FROM + WIDE_SIDE * WIDE_SIDE;  // bytes of what a point sees
+constexpr int MET = MEETS * MEETS * 3 / 2;  // words of which points a point sees, and with which normals
 constexpr int SEEN = WIDEST_FROM + WIDEST_SIDE * WIDEST_SIDE;
 constexpr int RING = 3 * SECTORS, ROW = RINGS * RING;  // numbers of f
 
@@ -133,12 +134,18 @@ static inline Lanes visible(const uint8_t *seen, Ints from, Lanes a, Lanes b, La
     return through;
 }
 
-// The points that a group sees about the axis of a lobe, -1 for none
-static inline Ints met_by(const Shine &g, int64_t v, const Lobe &lobe) {
+// The points that a group sees about the axis of a lobe, -1 for none, and the normals there, in their frames
+// (ptt.ops.gloss._normals)
+static inline Ints met_by(const Shine &g, int64_t v, const Lobe &lobe, Lanes *normal) {
     const Ints column = clamp(whole((lobe.a + 1.0f) * (0.5f * MEETS)), MEETS - 1);
     const Ints row = clamp(whole((lobe.b + 1.0f) * (0.5f * MEETS)), MEETS - 1);
-    const float *from = (const float *)(g.meets + v * MEETS * MEETS);
-    return (Ints)gather(from, lane() * (MEETS * MEETS) + row * MEETS + column);
+    const Ints cell = row * MEETS + column;
+    const float *from = (const float *)(g.meets + v * MET);
+    const Ints pair = (Ints)gather(from + MEETS * MEETS, lane() * MET + (cell >> 1)) >> 16 * (cell & 1);
+    const Lanes a = real(pair << 24 >> 24) * (0.5f / NORMAL), b = real(pair << 16 >> 24) * (0.5f / NORMAL);
+    const Lanes x = a + b, y = a - b, z = 1.0f - size(x) - size(y), scale = 1.0f / root(x * x + y * y + z * z);
+    normal[0] = x * scale, normal[1] = y * scale, normal[2] = z * scale;
+    return (Ints)gather(from, lane() * MET + cell);
 }
 
 // Light E about directions in the frame of the map, of the nearest of the widths (ptt.ops.gloss.blurred)
@@ -153,29 +160,37 @@ static inline void light_at(const float *maps, int map, const Lanes *d, Ints lev
     }
 }
 
-// What points send against the axis of a lobe of a group; 0 where they face away (ptt.ops.gloss._as_one_lobe)
-static inline void as_one_lobe(const Shine &g, const Look &at, const Lobe &lobe, Ints point, Lanes *out) {
-    Lanes record[12], wo[3], world[3], u, w, local[3], axis[3], d[3], table[8], sent[8], e[3], a, b;
+// What points of local normals send against the axis of a lobe of a group; 0 where they face away
+// (ptt.ops.gloss._as_one_lobe)
+static inline void as_one_lobe(
+    const Shine &g, const Look &at, const Lobe &lobe, Ints point, const Lanes *normal, Lanes *out
+) {
+    Lanes record[12], wo[3], world[3], local[3], axis[3], d[3], table[8], sent[8], e[3], a, b;
     for (int i = 0; i < 12; i += 4) gather_four(g.records + i, point * RECORD, record + i);
     for (int c = 0; c < 3; ++c)
         world[c] = lobe.local[0] * at.frame[0][c] + lobe.local[1] * at.frame[1][c] + lobe.local[2] * at.frame[2][c];
     for (int r = 0; r < 3; ++r)
         wo[r] = -(record[3 * r] * world[0] + record[3 * r + 1] * world[1] + record[3 * r + 2] * world[2]);
-    if (!any(wo[2] > 0)) return;
-    flattened(wo, u, w);
-    const Lanes tilt = least(most(size(wo[2]) * (TILTS - 0.5f) - 0.5f, all(0)), all(TILTS - 1));
+    const Lanes cosine = wo[0] * normal[0] + wo[1] * normal[1] + wo[2] * normal[2];
+    if (!any(cosine > 0)) return;
+    const Lanes tilt = least(most(cosine * (TILTS - 0.5f) - 0.5f, all(0)), all(TILTS - 1));
     const Ints row = (whole(tilt + 0.5f) + whole(record[10])) * SENT;
     for (int i = 0; i < 8; i += 4) gather_four(g.tables + i, row, table + i), gather_four(g.sent + i, point * SENT, sent + i);
-    axis_of(table, wo, u, w, local);
+    Lanes flat[3], square = all(0);
+    for (int c = 0; c < 3; ++c) flat[c] = wo[c] - cosine * normal[c], square += flat[c] * flat[c];
+    const Lanes sine = root(most(square, all(HEAD_ON * HEAD_ON)));
+    const Lanes of_flat = table[0] * cosine / sine - table[2], of_normal = table[0] * sine + table[2] * cosine;
+    for (int c = 0; c < 3; ++c) local[c] = of_flat * flat[c] + of_normal * normal[c];
     const Ints level = clamp(whole(table[3] + 0.5f), LEVELS - 1);
     hemi_octahedral(local, a, b);
-    const Lanes through = visible(g.all_seen, whole(record[9]) * SEEN, a, b, real(level));
+    const Lanes seen = visible(g.all_seen, whole(record[9]) * SEEN, a, b, real(level));
+    const Lanes through = local[2] > 0 ? seen : all(0);
     for (int c = 0; c < 3; ++c) axis[c] = local[0] * record[c] + local[1] * record[3 + c] + local[2] * record[6 + c];
     turned(axis, g.turn, d);
     light_at(g.whole, g.map, d, level, e);
     for (int c = 0; c < 3; ++c) {
         const Lanes mean = sent[3 + c], about = mean + through * (e[c] - mean);
-        out[c] = wo[2] > 0 ? sent[c] + table[4 + c] * about : all(0);
+        out[c] = cosine > 0 ? sent[c] + table[4 + c] * about : all(0);
     }
 }
 
@@ -184,8 +199,9 @@ static inline void as_one_lobe(const Shine &g, const Look &at, const Lobe &lobe,
 static inline void from_points(const Shine &g, int64_t v, const Look &at, const Lobe &lobe, Lanes hidden, Lanes *out) {
     for (int c = 0; c < 3; ++c) out[c] = all(0);
     if (!any(hidden > CLEAR)) return;
-    const Ints met = met_by(g, v, lobe), there = (met >= 0) & (hidden > CLEAR), point = there ? met : Ints{};
-    if (any(there)) as_one_lobe(g, at, lobe, point, out);
+    Lanes normal[3];
+    const Ints met = met_by(g, v, lobe, normal), there = (met >= 0) & (hidden > CLEAR), point = there ? met : Ints{};
+    if (any(there)) as_one_lobe(g, at, lobe, point, normal, out);
     const Lanes spread = least(most((lobe.level - SPREAD) * (1.0f / (LEVELS - 1 - SPREAD)), all(0)), all(1));
     for (int c = 0; c < 3; ++c) {
         const Lanes sent = there ? out[c] : all(0);

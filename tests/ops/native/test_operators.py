@@ -17,9 +17,9 @@ from ptt.light.prefiltered import samples
 from ptt.materials.shapes import BlinnPhong
 from ptt.ops import haar, native, near, rotation, slices
 from ptt.ops.cells import Gloss, Lobes
-from ptt.ops.constants import LEVELS, MEETS, RECORD, RINGS, SECTORS, SENT, TILTS
+from ptt.ops.constants import LEVELS, RECORD, RINGS, SECTORS, SENT, TILTS
 from ptt.ops.geodesic import Geodesic
-from ptt.ops.gloss import Around, GlossLight
+from ptt.ops.gloss import MET, Around, GlossLight
 from ptt.ops.haar import Truncated
 from ptt.ops.native import building, kernels, operators
 from ptt.ops.native.glossing import WORDS
@@ -108,7 +108,7 @@ def shine() -> None:
     frame = torch.eye(3)[:, :, None].repeat(1, 1, n)
     surface = SurfaceBlocks(uniform(3, n), frame, None, torch.empty(0), torch.arange(n - 3))
     gloss = Gloss(Lobes(uniform(TILTS, 3, 7), 1), uniform(TILTS, RINGS, SECTORS, 3), uniform(TILTS, SENT), sharp=False)
-    meets = torch.arange(n * MEETS * MEETS, dtype=torch.int32).reshape(n, -1) % 4 - 1
+    meets = torch.arange(n * MET, dtype=torch.int32).reshape(n, -1) % 4 - 1
     records = torch.cat((torch.eye(3).flatten().expand(3, -1), torch.zeros(3, RECORD - 9)), 1)
     maps = uniform(LEVELS, 36, 4)
     around = Around(uniform(3, n), meets, records, uniform(3, SENT), seen, uniform(TILTS, SENT), maps)
