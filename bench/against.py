@@ -102,6 +102,7 @@ def truth(
 def without_bounces(model: ptt.TransferModel, most: int = 0) -> ptt.TransferModel:
     """The same model with at most so many bounces."""
     model = copy.deepcopy(model)
+    model.bounces = min(model.bounces, most)
     for region in model.clustered:
         if most < 2:
             region.two.zero_()

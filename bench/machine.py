@@ -41,9 +41,9 @@ def main() -> None:
         table.replace(name, PARTS)
 
 
-def measured(part: str, **variables: str) -> list[dict[str, str]]:
-    """What `bench.machine_parts` prints of a part, a row a line, in a process with these variables."""
-    command = [sys.executable, "-m", "bench.machine_parts", part]
+def printed(module: str, *arguments: str, **variables: str) -> list[dict[str, str]]:
+    """The rows that a module prints, one a line, in a process with these variables."""
+    command = [sys.executable, "-m", module, *arguments]
     done = subprocess.run(
         command, cwd=ROOT, env=os.environ | variables, stdout=subprocess.PIPE, text=True, check=True
     ).stdout
@@ -71,7 +71,7 @@ def elsewhere(part: str, table: Table) -> None:
     """
     for variables in SETS.values():
         with tempfile.TemporaryDirectory() as folder:
-            for row in measured(part, **variables, TORCHINDUCTOR_CACHE_DIR=folder):
+            for row in printed("bench.machine_parts", part, **variables, TORCHINDUCTOR_CACHE_DIR=folder):
                 table.row(**row)  # type: ignore[arg-type]
 
 

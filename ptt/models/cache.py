@@ -1,4 +1,4 @@
-"""A memory of one result, that cannot go stale: it is kept for as long as everything that went in is unchanged."""
+"""A memory of results that cannot go stale: one is kept for as long as everything that went in is unchanged."""
 
 from __future__ import annotations
 
@@ -43,14 +43,15 @@ def watched(*modules: nn.Module) -> Watch:
 
 @in_python
 class Cache:
-    """Remembers the last result of one step."""
+    """Remembers the last results of one step, so many."""
 
-    def __init__(self) -> None:
-        self._kept: tuple[Any, Any] = (None, None)
+    def __init__(self, most: int = 1) -> None:
+        self._most = most
+        self._kept: tuple[tuple[Any, Any], ...] = ()
 
     @uncompiled
     def __call__(self, inputs: Any, compute: Callable[[], Any]) -> Any:
-        """`compute()`, or its last result if `inputs` (tensors, `Watch`, dataclasses, mappings, values) are the same.
+        """`compute()`, or what it gave when `inputs` (tensors, `Watch`, dataclasses, mappings, values) were the same.
 
         Results that carry derivatives, or stand for a batch, or were made from inference tensors are not kept: they
         serve once. What is kept under a transform of torch.func is made outside of it.
@@ -58,10 +59,11 @@ class Cache:
         stamp = _stamp_of(inputs)
         if stamp is None:
             return compute()
-        kept, result = self._kept  # both at once, and written so: other threads may ask too
-        if not _same(kept, stamp):
-            result = outside(compute)
-            self._kept = (stamp, result)
+        for kept, result in self._kept:  # read at once, and written so: other threads may ask too
+            if _same(kept, stamp):
+                return result
+        result = outside(compute)
+        self._kept = ((stamp, result), *self._kept[: self._most - 1])
         return result
 
 

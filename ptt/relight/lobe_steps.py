@@ -39,6 +39,9 @@ from ptt.relight.operations import operations
 
 WIDTHS = (0.0, *(width(level) for level in range(1, LEVELS)))
 """Degrees that lobes cover, by their levels; the first is as narrow as the maps are."""
+MOST_GLOSSES = (
+    32  # tables of lobes that are kept: textured metals have 26, and a change of colour leaves them as they are
+)
 OPEN = 0.02  # of the hemisphere: what a point sees of surfaces counts as at least as much where their mean is taken
 
 
@@ -124,6 +127,7 @@ class LobeSteps(nn.Module):
         for points, region in zip(self.points, model.clustered, strict=True):
             points.register_buffer("hidden", 1 - self._sky(region, even), persistent=False)
         self._materials = [Cache() for _ in model.clustered]
+        self._glosses = Cache(MOST_GLOSSES)
 
     def _records(self) -> Tensor:
         """The points as others see them (v, RECORD) (`ops.gloss.Around`)."""
@@ -217,7 +221,10 @@ class LobeSteps(nn.Module):
         albedo = material.diffuse.to(self.basis.table) / math.pi
         if not material.shining:
             return LobeLayer(albedo, None, share)
-        made = gloss_of(material.glossy, material.isotropic, self.count, self._operations.cell_sums)
+        made = self._glosses(
+            material.highlights,
+            lambda: gloss_of(material.glossy, material.isotropic, self.count, self._operations.cell_sums),
+        )
         lobes = made.lobes._replace(table=made.lobes.table.to(albedo))
         return LobeLayer(albedo, made._replace(lobes=lobes, values=made.values.to(albedo)), share)
 

@@ -11,6 +11,8 @@ from torch import Tensor
 import ptt
 from ptt.materials.shapes import GGX
 from ptt.ops import mesh
+from ptt.ops.cells import CellSums, Gloss, Reflects, gloss_of
+from ptt.relight import lobe_steps
 from ptt.scene.parts import Part
 
 GOLD = (1.0, 0.78, 0.34)
@@ -112,6 +114,29 @@ def test_derivatives_reach_colours(model: ptt.TransferModel, sky: ptt.Environmen
     (got,) = torch.autograd.grad(lit.sum(), colour)
     more = relighter(sky, {"ball": ptt.Material(0.0, 1.5, shape)}, EYE).sum(0)
     assert torch.allclose(got, (more - lit.detach().sum(0)), rtol=1e-3)
+
+
+def test_tables_of_a_shape_are_made_once(model: ptt.TransferModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A change of base colour makes none anew, one of roughness those of roughnesses that are new."""
+    made = []
+
+    def counted(reflects: Reflects, isotropic: bool, n: int, sums: CellSums) -> Gloss:
+        made.append(1)
+        return gloss_of(reflects, isotropic, n, sums)
+
+    monkeypatch.setattr(lobe_steps, "gloss_of", counted)
+    relighter = ptt.TransferRelighter(model, compiled=False)
+    light = ptt.Environment.constant(1.0)
+    rough = 0.5 + 0.5 * (torch.arange(len(model.positions)) % 2)
+    counts = []
+    for colour, most in ((0.9, 0.6), (0.4, 0.6), (0.4, 0.7)):
+        ball = ptt.MetalRough(colour, 1.0, most, roughness_map=rough)
+        got = relighter(light, {"ball": ball}, EYE)
+        counts.append(len(made))
+        again = ptt.TransferRelighter(model, compiled=False)(light, {"ball": ball}, EYE)
+        assert torch.equal(got, again)
+        made.clear()
+    assert counts == [8, 0, 2]  # GGX with f0 of 0 and 1 at 0.28, 0.35, 0.52 and 0.62; at 0.74, too
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import pytest
@@ -187,6 +188,14 @@ def test_cache_keeps_nothing_that_carries_a_graph() -> None:
     cache(y, compute)
     cache(y, compute)
     assert len(calls) == 5
+
+
+def test_cache_keeps_as_many_results_as_it_is_told() -> None:
+    cache = Cache(2)
+    made: list[int] = []
+    for k in (1, 2, 1, 2, 3, 2, 1):
+        cache(k, partial(made.append, k))
+    assert made == [1, 2, 3, 1]
 
 
 def test_no_warnings_in_plain_use(small_model: ptt.TransferModel, small_scene: ptt.Scene) -> None:
