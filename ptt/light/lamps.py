@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import cos, radians
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from ptt.ops.transforms import is_batch
 
@@ -17,15 +19,29 @@ LEAST = 6e-3  # of the light's power: the least that a lamp has
 
 
 class Lamps(NamedTuple):
-    """Directions (m, 3), unit, and powers (m, c): radiance times solid angle."""
+    """Directions (m, 3), unit, and powers (m, c): radiance times solid angle.
+
+    areas (m, k, 3), shares (m, k): directions within each lamp, and how much of its power comes from there, 1 in all
+    """
 
     directions: Tensor
     powers: Tensor
+    areas: Tensor
+    shares: Tensor
 
     @classmethod
     def none(cls, like: Tensor) -> Lamps:
         """No lamps, in the type of a tensor."""
-        return cls(like.new_zeros(0, 3), like.new_zeros(0, 3))
+        return cls(like.new_zeros(0, 3), like.new_zeros(0, 3), like.new_zeros(0, 0, 3), like.new_zeros(0, 0))
+
+    @classmethod
+    def together(cls, several: Sequence[Lamps]) -> Lamps:
+        """The lamps of several lights."""
+        most = max(lamps.shares.shape[1] for lamps in several)
+        areas = [pad(lamps.areas, (0, 0, 0, most - lamps.areas.shape[1])) for lamps in several]
+        shares = [pad(lamps.shares, (0, most - lamps.shares.shape[1])) for lamps in several]
+        own = ([lamps.directions for lamps in several], [lamps.powers for lamps in several], areas, shares)
+        return cls(*(torch.cat(parts) for parts in own))
 
 
 def apart(light: Tensor, directions: Tensor, solid_angles: Tensor) -> tuple[Lamps, Tensor]:
@@ -45,7 +61,7 @@ def apart(light: Tensor, directions: Tensor, solid_angles: Tensor) -> tuple[Lamp
     least = LEAST * float(power.sum())
     brightness = light.detach().sum(1)
     disk = 2 * torch.pi * (1 - cos(radians(INNER))) + float(solid_angles.max())
-    found: list[tuple[Tensor, Tensor]] = []
+    found: list[Lamps] = []
     while len(found) < MOST:
         brightest = int(brightness.argmax())
         if float(brightness[brightest]) * disk < least or least <= 0:
@@ -54,14 +70,13 @@ def apart(light: Tensor, directions: Tensor, solid_angles: Tensor) -> tuple[Lamp
         mass = own.detach().sum(1)
         spread = (directions[inner] - axis).square().sum(1) @ mass / mass.sum().clamp(min=1e-30)
         if float(mass.sum()) >= least and float(spread) <= radians(SMALL) ** 2:
-            found.append((axis, own.sum(0)))
+            found.append(Lamps(axis[None], own.sum(0)[None], directions[inner][None], (mass / mass.sum())[None]))
             rest = rest.index_add(0, inner, -own / solid_angles[inner])
         brightness[inner] = 0.0
         brightness[brightest] = 0.0
     if not found:
         return Lamps.none(light), light
-    axes, powers = zip(*found, strict=True)
-    return Lamps(torch.stack(axes), torch.stack(powers)), rest.clamp(min=0)
+    return Lamps.together(found), rest.clamp(min=0)
 
 
 def _lamp(light: Tensor, directions: Tensor, solid_angles: Tensor, axis: Tensor) -> tuple[Tensor, Tensor, Tensor]:

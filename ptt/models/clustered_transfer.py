@@ -28,7 +28,7 @@ from ptt.ops.tucker import Tucker, multiply
 WIDTH = 128  # points in a block
 FACING = 16  # cells along an edge of the map of normals by which points are ordered
 SPAN = 1e-6  # of the largest singular value: a smaller one adds no direction to a joint factor of the points
-PARTS = ("cluster", "place", "weights", "columns", "direct", "lighting", "one", "two", "cuts", "seen", "meets")
+PARTS = ("cluster", "place", "weights", "columns", "direct", "lighting", "one", "two", "cuts", "seen", "meets", "sky")
 STORAGE = {"float32": torch.float32, "float16": torch.float16, "bfloat16": torch.bfloat16}
 
 
@@ -60,6 +60,7 @@ class ClusteredTransfer(nn.Module):
     cuts (b * WIDTH, cells) int32: fractional visibility of the lobes, a byte each; cells = 0 where there are none
     seen (b * WIDTH, words), meets (b * WIDTH, words) int32: what is seen of the hemisphere, and which points of the
         model (`ops.gloss`); nothing without narrow lobes, which also leave of s the constant alone
+    sky (words, b * WIDTH) int32: bits of the lighting's cube map that are seen (`ops.gloss.lamp_visibility`); as seen
     """
 
     cluster: Tensor
@@ -73,6 +74,7 @@ class ClusteredTransfer(nn.Module):
     cuts: Tensor
     seen: Tensor
     meets: Tensor
+    sky: Tensor
 
     def __init__(self, slots: Sequence[int], pairs: Sequence[Sequence[int]], **parts: Tensor) -> None:
         super().__init__()
@@ -201,6 +203,7 @@ class ClusteredTransfer(nn.Module):
             "cuts": self.cuts.shape[1],
             "seen": self.seen.shape[1],
             "meets": self.meets.shape[1],
+            "sky": len(self.sky),
             "harmonics": self.harmonics,
             "slots": self.slots,
             "pairs": self.pairs,
@@ -230,6 +233,7 @@ class ClusteredTransfer(nn.Module):
             "cuts": (torch.int32, (b * WIDTH, config["cuts"])),
             "seen": (torch.int32, (b * WIDTH, config["seen"])),
             "meets": (torch.int32, (b * WIDTH, config["meets"])),
+            "sky": (torch.int32, (config["sky"], b * WIDTH)),
         }
 
     @classmethod

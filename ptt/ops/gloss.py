@@ -1,11 +1,11 @@
 """Glossy reflection by narrow lobes, each with a light and a visibility of its own, and lamps apart.
 
     B[v, c] = sum over n of  w_n[c](wo) (V_v(a_n, s_n) E[c](a_n, s_n) + (1 - V_v(a_n, s_n)) B[y_n, c])
-            + sum over m of  f[c](d_m, wo) cos(d_m) V_v(d_m) P_m[c]
+            + sum over m of  f[c](d_m, wo) cos(d_m) V_vm P_m[c]
 
 w_n, a_n and s_n are the weights, axes and widths of a material's lobes (`ops.cells`). E is the light blurred to a width
 (`levels`), V_v the share of it that point v sees. What is small and bright in the light, lamps of power P_m, is
-reflected by f itself.
+reflected by f itself; V_vm is how much of it is seen, the same from wherever one looks.
 
 y_n is the point that v sees along a_n (`Around`), which sends to v what is diffuse, D, and what its material reflects
 as one lobe w, a, s, of the light, and of the mean S of the surfaces that it sees itself:
@@ -64,12 +64,14 @@ class GlossLight(NamedTuple):
 
     maps (LEVELS, cells, 4): blurred to each width, on `bordered` octahedral maps; turn (3, 3): world = turn @ map
     lamps (m, 3), powers (m, c): of lamps, which the maps are without, in the world
+    through (m, n): how much of each lamp n points see (`lamp_visibility`)
     """
 
     maps: Tensor
     turn: Tensor
     lamps: Tensor
     powers: Tensor
+    through: Tensor
 
 
 class Around(NamedTuple):
@@ -134,18 +136,27 @@ def shine(
     for first in range(0, len(wo), AT_ONCE):
         some = slice(first, first + AT_ONCE)
         near = None if around is None else around._replace(mean=around.mean[:, some], meets=around.meets[some])
-        parts.append(_shine(gloss, light, frame[some], seen[some], wo[some], near))
+        lit = light._replace(through=light.through[:, some])
+        parts.append(_shine(gloss, lit, frame[some], seen[some], wo[some], near))
     out = torch.cat(parts)
     return (out if share is None else out * share.T).index_select(0, points.place)
 
 
-def irradiance(frame: Tensor, seen: Tensor, lamps: Tensor, powers: Tensor) -> Tensor:
-    """What arrives of lamps at points in blocks (n, c): powers times cosines times visibility.
+def lamp_visibility(visible: Tensor, cells: Tensor, shares: Tensor) -> Tensor:
+    """How much (m, n) of each of m lamps n points see.
 
-    frame (3, 3, n), seen (n, words): of the points; lamps, powers: as `GlossLight`
+    visible (words, n) int32: bits of the cells of a cube map that points see, packed as by `transfer.visibility`
+    cells (m, k) int64, shares (m, k): where each lamp is on that map, and how much of its power comes from there
+
+    In a trial on a statue under a map with five lamps of one degree (GGX of roughness 0.5 and 0.7, a metallic paint, a
+    plastic), bits of 64 x 64 cells of a point's hemisphere about the middle of a lamp left 11.3, 10.7, 11.4 and 8.2 %
+    of error, these cells 6.7, 5.7, 6.6 and 4.3, rays all over the lamps 4.9, 2.9, 4.4 and 2.4.
     """
-    parts = zip(frame.movedim(2, 0).split(AT_ONCE), seen.split(AT_ONCE), strict=True)
-    return torch.cat([_lit(*some, lamps)[1] @ powers.to(frame) for some in parts])
+    seen = shares.new_empty(len(cells), visible.shape[1])
+    for lamp, (cell, share) in enumerate(zip(cells, shares, strict=True)):
+        bits = visible[cell >> 5] >> ((cell & 31) ^ 7)[:, None] & 1  # a byte begins with its highest bit
+        seen[lamp] = share @ bits.to(share)
+    return seen
 
 
 def _shine(gloss: Gloss, light: GlossLight, frame: Tensor, seen: Tensor, wo: Tensor, around: Around | None) -> Tensor:
@@ -165,7 +176,7 @@ def _shine(gloss: Gloss, light: GlossLight, frame: Tensor, seen: Tensor, wo: Ten
     out: Tensor = (row[..., 4:] * about).sum(1)
     if not len(light.lamps):
         return out
-    return out + _lamps(frame, seen, wo, gloss, index, weights, light)
+    return out + _lamps(frame, wo, gloss, index, weights, light)
 
 
 def _from_points(around: Around, frame: Tensor, axes: Tensor, turn: Tensor) -> Tensor:
@@ -258,17 +269,10 @@ def _bytes_at(shares: Tensor, axes: Tensor) -> Tensor:
     return mean
 
 
-def _lit(frame: Tensor, seen: Tensor, lamps: Tensor) -> tuple[Tensor, Tensor]:
-    """Local directions (n, m, 3) to lamps (m, 3), and how much of them points (n, ...) see, times the cosine (n, m)."""
-    wi = lamps.to(frame) @ frame.transpose(1, 2)
-    return wi, wi[..., 2].clamp(min=0) * bits_at(seen, wi)
-
-
-def _lamps(
-    frame: Tensor, seen: Tensor, wo: Tensor, gloss: Gloss, rows: Tensor, shares: Tensor, light: GlossLight
-) -> Tensor:
+def _lamps(frame: Tensor, wo: Tensor, gloss: Gloss, rows: Tensor, shares: Tensor, light: GlossLight) -> Tensor:
     """What points reflect of lamps (n, c), by rows (n, j) of the table of f and their shares (n, j)."""
-    wi, lit = _lit(frame, seen, light.lamps)
+    wi = light.lamps.to(frame) @ frame.transpose(1, 2)  # shape: (n, m, 3)
+    lit = wi[..., 2].clamp(min=0) * light.through.T
     index, weights = _on_nodes(wi, wo, gloss)
     t, r, s, c = gloss.values.shape
     every = (rows[:, None, :, None] * (r * s) + index[:, :, None]).flatten(2).flatten(0, 1)

@@ -88,9 +88,10 @@ class LightStep(nn.Module):
         """The lamps of all layers."""
         found = []
         for layer, maps in zip(environment.layers, ready, strict=True):
-            directions = maps.lamps.directions @ layer.rotation.to(self.directions).T
-            found.append((directions, maps.lamps.powers * layer.gain.to(directions)))
-        return Lamps(*(torch.cat(parts) for parts in zip(*found, strict=True)))
+            directions, powers, areas, shares = maps.lamps
+            turn = layer.rotation.to(self.directions).T
+            found.append(Lamps(directions @ turn, powers * layer.gain.to(powers), areas @ turn, shares))
+        return Lamps.together(found)
 
     def _ready(self, environment: Environment) -> list[SplitMaps]:
         """The maps of every layer."""

@@ -32,6 +32,7 @@ from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.constants import LEVELS, RECORD, SENT, TILTS, TINY
 from ptt.ops.gloss import Around, GlossLight
 from ptt.ops.relight import expand
+from ptt.ops.sphere import Cube
 from ptt.ops.view import SurfaceBlocks
 from ptt.relight.cluster_steps import RegionPoints, slot_weights, varying_functions
 from ptt.relight.light_step import LightStep, SplitLight
@@ -54,10 +55,12 @@ class ArrivingIrradiance(NamedTuple):
 
 
 class LobeLight(NamedTuple):
-    """Under one light: what arrives in every region, what of lamps at its points in blocks (n, c), and the light."""
+    """Under one light: what arrives in every region, how much of its lamps points in blocks see (m, n), what arrives of
+    them (n, c), and the light."""
 
     arriving: list[ArrivingIrradiance]
-    of_lamps: list[Tensor | None]
+    through: list[Tensor]
+    of_lamps: list[Tensor]
     split: SplitLight
 
 
@@ -162,7 +165,10 @@ class LobeSteps(nn.Module):
         coarse = light[..., :COARSE, :COARSE].flatten(1)
         coarsest = light[..., :COARSEST, :COARSEST].flatten(1)
         arriving = [self._arriving(region, fine, coarse, coarsest) for region in self.model.clustered]
-        return LobeLight(arriving, [self._of_lamps(r, split.lamps) for r in range(len(arriving))], split)
+        cells, shares = _cells_of(split.lamps, self.model.grid)
+        through = [self._operations.lamp_visibility(region.sky, cells, shares) for region in self.model.clustered]
+        of_lamps = [_irradiance(*given, split.lamps) for given in zip(self.points, through, strict=True)]
+        return LobeLight(arriving, through, of_lamps, split)
 
     def _arriving(
         self, region: ClusteredTransfer, fine: Tensor, coarse: Tensor, coarsest: Tensor
@@ -174,15 +180,6 @@ class LobeSteps(nn.Module):
         one = light_eigen(region.one, light_eigen(region.lighting, coarse)).unflatten(2, (len(region.slots), e))
         two = light_eigen(region.two, coarsest).unflatten(2, (len(region.pairs), e))
         return ArrivingIrradiance(direct, one, two)
-
-    def _of_lamps(self, region: int, lamps: Lamps) -> Tensor | None:
-        """What arrives of lamps at a region's points in blocks (n, c); None without lamps."""
-        if not len(lamps.directions):
-            return None
-        irradiance: Tensor = self._operations.irradiance(
-            self.points[region].frame, self.model.clustered[region].seen, *lamps
-        )
-        return irradiance
 
     @opaque
     def materials(self, materials: Sequence[SurfaceMaterial]) -> list[LobeMaterial]:
@@ -255,7 +252,7 @@ class LobeSteps(nn.Module):
             LobeRegion(
                 self._surface(r),
                 dull[r],
-                _lit(material, light.split),
+                _lit(material, light.split, light.through[r]),
                 Around(means[r], self.model.clustered[r].meets, *others) if self.model.bounces else None,
             )
             for r, material in enumerate(tables)
@@ -277,8 +274,7 @@ class LobeSteps(nn.Module):
         whole, less, *bounced = self._at_points(self.model.clustered[region], eigen).unbind(2)
         albedo = sum(_some(layer.albedo, layer.share) for layer in material.layers)
         albedo = albedo if material.colour is None else albedo * material.colour
-        lamps = light.of_lamps[region]
-        diffuse = [albedo * (each if lamps is None else each + lamps) for each in (whole, less)]
+        diffuse = [albedo * (each + light.of_lamps[region]) for each in (whole, less)]
         hidden = math.pi * self.points[region].get_buffer("hidden")
         mean = [each.clamp(min=0) / hidden for each in bounced]
         return diffuse[0], torch.cat((diffuse[1], mean[1]), 1), mean[0]
@@ -300,20 +296,46 @@ class LobeSteps(nn.Module):
         return out
 
 
-def _lit(material: LobeMaterial, light: SplitLight) -> list[tuple[Gloss, GlossLight, Tensor | None]]:
+def _cells_of(lamps: Lamps, grid: Cube) -> tuple[Tensor, Tensor]:
+    """The cells (m, k) of a grid that lamps lie in, and how much of the power of each comes from there (m, k)."""
+    found = []
+    for area, share in zip(lamps.areas, lamps.shares, strict=True):
+        lit = share > 0
+        own, place = grid.cell(area[lit]).unique(return_inverse=True)
+        found.append((own, share.new_zeros(len(own)).index_add(0, place, share[lit])))
+    most = max((len(own) for own, _ in found), default=0)
+    cells = torch.zeros(len(found), most, dtype=torch.int64, device=lamps.shares.device)
+    shares = lamps.shares.new_zeros(len(found), most)
+    for lamp, (own, share) in enumerate(found):
+        cells[lamp, : len(own)], shares[lamp, : len(own)] = own, share
+    return cells, shares
+
+
+def _irradiance(points: RegionPoints, through: Tensor, lamps: Lamps) -> Tensor:
+    """What arrives of lamps at points in blocks (n, c), of which they see some of each (m, n)."""
+    cosine = (lamps.directions @ points.frame[2]).clamp(min=0)
+    return (cosine * through).T @ lamps.powers
+
+
+def _lit(material: LobeMaterial, light: SplitLight, through: Tensor) -> list[tuple[Gloss, GlossLight, Tensor | None]]:
     """The lobes of a material, each with its light and share (c, n)."""
     return [
-        (layer.gloss, _light_for(layer.gloss, light), None if layer.share is None else layer.share.T.contiguous())
+        (
+            layer.gloss,
+            _light_for(layer.gloss, light, through),
+            None if layer.share is None else layer.share.T.contiguous(),
+        )
         for layer in material.layers
         if layer.gloss is not None
     ]
 
 
-def _light_for(gloss: Gloss, light: SplitLight) -> GlossLight:
+def _light_for(gloss: Gloss, light: SplitLight, through: Tensor) -> GlossLight:
     """The light of a material's narrow lobes: a sharp one sees lamps as they are on the maps, areas or not."""
     if gloss.sharp:
-        return GlossLight(light.whole.maps, light.whole.turn, *Lamps.none(light.whole.turn))
-    return GlossLight(light.rest.maps, light.rest.turn, *light.lamps)
+        none = through.new_zeros(0, 3)
+        return GlossLight(light.whole.maps, light.whole.turn, none, none, through[:0])
+    return GlossLight(light.rest.maps, light.rest.turn, light.lamps.directions, light.lamps.powers, through)
 
 
 def _some(values: Tensor, share: Tensor | None) -> Tensor:

@@ -173,6 +173,7 @@ class _RegionTransfer:
             cuts=self._cuts(place, len(cluster)),
             seen=self._in_blocks(self.transfer.seen, 0, place, len(cluster)),
             meets=self._in_blocks(self.transfer.meets, -1, place, len(cluster)),
+            sky=self._sky(place, len(cluster)),
         )
 
     def _cuts(self, place: Tensor, blocks: int) -> Tensor:
@@ -183,6 +184,12 @@ class _RegionTransfer:
         bytes_ = torch.zeros(blocks * WIDTH, cuts.shape[1], MOST_LOBES, dtype=torch.uint8)
         bytes_[place[:, None], tiles(math.isqrt(cuts.shape[1])), : cuts.shape[2]] = cuts
         return bytes_.view(torch.int32).squeeze(2)
+
+    def _sky(self, place: Tensor, blocks: int) -> Tensor:
+        """Bits (words, b * WIDTH) int32 of what is seen of the cube map; no words without narrow lobes."""
+        if self.transfer.highlights != "lobes":
+            return torch.zeros(0, blocks * WIDTH, dtype=torch.int32)
+        return self._in_blocks(self.transfer.raw.visible.view(torch.int32), 0, place, blocks).T.contiguous()
 
     def _in_blocks(self, values: Tensor, padding: int, place: Tensor, blocks: int) -> Tensor:
         """Of values (v, n) of all points those of the region (b * WIDTH, n)."""

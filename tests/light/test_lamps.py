@@ -34,6 +34,11 @@ def test_suns_of_a_sky_are_found() -> None:
         nearest = int((lamps.directions @ axis).argmax())
         assert float(torch.rad2deg(torch.acos((lamps.directions[nearest] @ axis).clamp(max=1)))) < 0.25
         assert torch.allclose(lamps.powers[nearest], torch.full((3,), power), rtol=0.02)
+        assert torch.allclose(lamps.shares[nearest].sum(), torch.ones(()))
+        mean = torch.nn.functional.normalize(lamps.shares[nearest] @ lamps.areas[nearest], dim=0)
+        assert float(mean @ lamps.directions[nearest]) > 1 - 1e-6
+        inside = lamps.areas[nearest][lamps.shares[nearest] > 1e-2] @ lamps.directions[nearest]
+        assert float(torch.rad2deg(torch.acos(inside.min()))) < 1.5
     assert torch.allclose(rest, sky, rtol=0.02)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -14,6 +15,7 @@ from ptt.materials.shapes import GGX, Analytic, BlinnPhong, CookTorrance, Ward
 from ptt.ops import cells, gloss
 from ptt.ops.constants import BITS, LEVELS, MEETS, NORMAL, RECORD, SENT, TILTS
 from ptt.ops.octahedral import HemiOctahedral, Octahedral, bordered, hemi_octahedral
+from ptt.ops.sphere import Cube
 from ptt.ops.view import SurfaceBlocks
 
 SHAPES: list[Analytic] = [
@@ -66,7 +68,7 @@ def light_of(radiance: Callable[[Tensor], Tensor], lamps: Tensor | None = None) 
     texels = bordered(radiance(cells)[:, None].expand(-1, 3))
     maps = torch.nn.functional.pad(texels, (0, 1)).expand(LEVELS, -1, -1).contiguous()
     lamps = torch.zeros(0, 3) if lamps is None else lamps
-    return gloss.GlossLight(maps, torch.eye(3), lamps, torch.ones(len(lamps), 3))
+    return gloss.GlossLight(maps, torch.eye(3), lamps, torch.ones(len(lamps), 3), torch.ones(len(lamps), 16))
 
 
 def dense(shape: Analytic, wo: Tensor, weight: Callable[[Tensor], Tensor]) -> float:
@@ -131,12 +133,14 @@ def test_a_lamp_is_reflected_by_f_itself(shape: Analytic) -> None:
         mirror = wo[:, 0] * wo.new_tensor([-1.0, -1.0, 1.0])
         lamps = normalize(mirror + torch.nn.functional.pad(off, (0, 1)), dim=1)
         for lamp in lamps:
-            given = black._replace(lamps=lamp[None], powers=torch.tensor([[1.0, 2.0, 3.0]]))
+            given = black._replace(lamps=lamp[None], powers=torch.tensor([[1.0, 2.0, 3.0]]), through=torch.ones(1, 16))
             got = gloss.shine(points(16)[0], wo, points(16)[1], tables, given)[0]
             expected = float(shape.evaluate(lamp[None].double(), wo[:, :1].T.double())) * float(lamp[2].clamp(min=0))
             assert got.tolist() == pytest.approx([expected, 2 * expected, 3 * expected], rel=bound, abs=1e-3), degrees
-            hidden = points(16, lambda d: d[:, 2] > 2)
-            assert float(gloss.shine(hidden[0], wo, hidden[1], tables, given).abs().max()) == 0
+            half = gloss.shine(
+                points(16)[0], wo, points(16)[1], tables, given._replace(through=torch.full((1, 16), 0.5))
+            )
+            assert torch.allclose(half[0], got / 2)
 
 
 def test_a_turn_about_the_normal_exchanges_slopes() -> None:
@@ -184,13 +188,16 @@ def test_octaves_are_linear_between_powers_of_two() -> None:
     assert torch.allclose(cells.octaves_back(cells.octaves(x)), x)
 
 
-def test_irradiance_of_lamps_is_power_times_cosine() -> None:
-    """A lamp behind a wall, and one below the horizon, give nothing."""
-    blocks, seen = points(16, lambda d: d[:, 0] > -0.1)
-    lamps = normalize(torch.tensor([[0.5, 0.1, 1.0], [-0.6, 0.2, 1.0], [0.3, 0.0, -1.0], [0.2, 0.9, 0.3]]), dim=1)
-    powers = torch.rand(4, 3, generator=torch.Generator().manual_seed(2))
-    expected = powers[0] * lamps[0, 2] + powers[3] * lamps[3, 2]
-    assert torch.allclose(gloss.irradiance(blocks.frame, seen, lamps, powers), expected.expand(16, 3))
+def test_lamps_are_seen_through_the_cells_that_they_lie_in() -> None:
+    """By bits as `transfer.visibility` packs them: a lamp of three cells, a small one, and one that is hidden."""
+    grid = Cube(8)
+    free = torch.rand(32, grid.cells, generator=torch.Generator().manual_seed(1)) < 0.5
+    visible = torch.from_numpy(np.packbits(free.numpy(), axis=1)).view(torch.int32).T.contiguous()
+    cells_of = torch.tensor([[3, 40, 217], [383, 0, 0], [100, 101, 0]])
+    shares = torch.tensor([[0.5, 0.3, 0.2], [1.0, 0.0, 0.0], [0.25, 0.75, 0.0]])
+    expected = (free[:, cells_of].float() * shares).sum(2).T
+    assert 0 < float(expected.mean()) < 1
+    assert torch.allclose(gloss.lamp_visibility(visible, cells_of, shares), expected)
 
 
 def ceiling(sent: Tensor, table: Tensor, seen: Tensor) -> gloss.Around:

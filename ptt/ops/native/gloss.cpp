@@ -1,7 +1,7 @@
 // Glossy reflection of ptt/ops/gloss.py in one pass over the points (float32, isotropic, three channels):
 //
 //     B[v, c] = sum over n of  w_n[c](wo) (V_v(a_n, s_n) E[c](a_n, s_n) + (1 - V_v(a_n, s_n)) B[y_n, c])
-//             + sum over m of  f[c](d_m, wo) cos(d_m) V_v(d_m) P_m[c]
+//             + sum over m of  f[c](d_m, wo) cos(d_m) V_vm P_m[c]
 //
 // Points go LANES at a time, one in each lane of a vector; light and f, which each point reads in places of its own,
 // are summed point by point. `look` mixes the rows of the table and finds where the lobes of a group lie, `reflect` and
@@ -258,22 +258,13 @@ static inline void reflect(const Shine &g, int64_t v, const Look &at, int64_t la
     }
 }
 
-// How much of a lamp a group sees, times the cosine, and the local directions to it (ptt.ops.gloss._lit)
-static inline Lanes lit_by(const float *lamp, const Lanes (&frame)[3][3], const uint8_t *seen, Lanes (&wi)[3]) {
-    for (int r = 0; r < 3; ++r) {
-        wi[r] = all(0);
-        for (int c = 0; c < 3; ++c) wi[r] += frame[r][c] * lamp[c];
-    }
-    if (!any(wi[2] > 0)) return all(0);
-    Lanes a, b;
-    hemi_octahedral(wi, a, b);
-    return most(wi[2], all(0)) * bits_at(seen, lane() * SEEN, a, b);
-}
-
 // What comes of a lamp, added to sums.
 static inline void lamp(const Shine &g, int64_t v, const Look &at, int64_t m, float (*sums)[CHANNELS]) {
+    const float *toward = g.lamps + 3 * m;
     Lanes wi[3];
-    const Lanes seen = lit_by(g.lamps + 3 * m, at.frame, g.seen + v * SEEN, wi);
+    for (int r = 0; r < 3; ++r)
+        wi[r] = at.frame[r][0] * toward[0] + at.frame[r][1] * toward[1] + at.frame[r][2] * toward[2];
+    const Lanes seen = most(wi[2], all(0)) * load(g.through + m * g.n + v);
     if (!any(seen > 0)) return;
     alignas(64) float lit[LANES], along[LANES], around[LANES];
     alignas(64) int32_t first[LANES];
@@ -340,21 +331,20 @@ extern "C" int32_t ptt_shine(const Shine *given) {
     return DONE;
 }
 
-// ptt.ops.gloss.irradiance
-extern "C" int32_t ptt_irradiance(const Irradiance *given) {
-    const Irradiance g = *given;
+// ptt.ops.gloss.lamp_visibility
+extern "C" int32_t ptt_lamp_visibility(const LampVisibility *given) {
+    const LampVisibility g = *given;
     in_parallel(g.n / LANES, g.threads, [=](int64_t group) {
         const int64_t v = group * LANES;
-        Lanes frame[3][3], sum[3] = {};
-        for (int r = 0; r < 3; ++r)
-            for (int c = 0; c < 3; ++c) frame[r][c] = load(g.frame + (3 * r + c) * g.n + v);
         for (int64_t m = 0; m < g.sources; ++m) {
-            Lanes wi[3];
-            const Lanes lit = lit_by(g.lamps + 3 * m, frame, g.seen + v * SEEN, wi);
-            for (int c = 0; c < 3; ++c) sum[c] += g.powers[3 * m + c] * lit;
+            Lanes sum = all(0);
+            for (int64_t i = m * g.each; i < (m + 1) * g.each; ++i) {
+                Ints word;
+                std::memcpy(&word, g.visible + (g.cells[i] >> 5) * g.n + v, sizeof word);
+                sum += g.shares[i] * real(word >> (int)((g.cells[i] & 31) ^ 7) & 1);
+            }
+            store(g.out + m * g.n + v, sum);
         }
-        for (int l = 0; l < LANES; ++l)
-            for (int c = 0; c < 3; ++c) g.out[3 * (v + l) + c] = sum[c][l];
     });
     return DONE;
 }

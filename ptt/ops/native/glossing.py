@@ -68,6 +68,7 @@ class _Shine(NamedTuple):
     turn: Tensor
     lamps: Tensor
     powers: Tensor
+    through: Tensor
     share: Tensor | None
     mean: Tensor | None
     meets: Tensor | None
@@ -80,7 +81,7 @@ class _Shine(NamedTuple):
 
 def _plain(*arguments: Any) -> Tensor:
     g = _Shine(*arguments)
-    light = GlossLight(g.maps, g.turn, g.lamps, g.powers)
+    light = GlossLight(g.maps, g.turn, g.lamps, g.powers, g.through)
     points = SurfaceBlocks(g.position, g.frame, None, g.position.new_empty(0), g.place)
     gloss = Gloss(Lobes(g.table, g.turns), g.values, g.table[:0], sharp=False)
     around = None if g.meets is None else Around(*arguments[-len(Around._fields) :])
@@ -95,9 +96,15 @@ def _conditions(*arguments: Any) -> Conditions:
     yield of_type(torch.float32, *reals), "points, tables and light must be float32"
     yield contiguous(g.position, g.table, g.values, g.maps), "points, tables and maps must be contiguous"
     yield of_type(torch.int64, g.place) and contiguous(g.place), "place must be int64, contiguous"
-    yield from _of_lamps(g.frame, g.seen, g.lamps, g.powers)
+    yield of_type(torch.float32, g.frame, g.lamps, g.powers, g.through), "frames and lamps must be float32"
+    yield of_type(torch.int32, g.seen), "what is seen must be int32"
+    yield contiguous(g.frame, g.seen, g.through), "frames and what is seen must be contiguous"
+    yield g.frame.shape == (3, 3, n) and n % GROUP == 0, f"frame must be (3, 3, n), n a multiple of {GROUP}"
+    yield g.seen.shape == (n, WORDS), f"what is seen must be (n, {WORDS})"
+    yield g.lamps.shape == g.powers.shape == (len(g.lamps), 3), "lamps and powers must be (m, 3)"
+    yield g.through.shape == (len(g.lamps), n), "what is seen of lamps must be (m, n)"
     yield g.turns == 1, "f must be isotropic"
-    yield g.position.shape == (3, g.frame.shape[2]), "position must be (3, n)"
+    yield g.position.shape == (3, n), "position must be (3, n)"
     yield g.eye.shape in ((3,), (3, n)), "eye must be (3,) or (3, n)"
     yield g.table.shape == (TILTS, lobes, 7), f"the table of lobes must be ({TILTS}, lobes, 7)"
     yield 0 < lobes <= MOST_CELLS, f"there must be 1..{MOST_CELLS} lobes"
@@ -127,16 +134,6 @@ def _of_around(g: _Shine, around: Around) -> Conditions:
     yield maps.shape == g.maps.shape, "the maps of the whole light must be as those of the rest"
 
 
-def _of_lamps(frame: Tensor, seen: Tensor, lamps: Tensor, powers: Tensor) -> Conditions:
-    yield of_type(torch.float32, frame, lamps, powers), "frames and lamps must be float32"
-    yield of_type(torch.int32, seen), "what is seen must be int32"
-    yield contiguous(frame, seen), "frames and what is seen must be contiguous"
-    n = frame.shape[-1]
-    yield frame.shape == (3, 3, n) and n % GROUP == 0, f"frame must be (3, 3, n), n a multiple of {GROUP}"
-    yield seen.shape == (n, WORDS), f"what is seen must be (n, {WORDS})"
-    yield lamps.shape == powers.shape == (len(lamps), 3), "lamps and powers must be (m, 3)"
-
-
 def _kernel(*arguments: Any) -> Tensor:
     g = _Shine(*arguments)
     n = g.position.shape[1]
@@ -152,6 +149,7 @@ def _kernel(*arguments: Any) -> Tensor:
         turn=g.turn.contiguous(),
         lamps=g.lamps.contiguous(),
         powers=g.powers.contiguous(),
+        through=g.through,
         seen=g.seen,
         share=g.share,
         mean=g.mean,
@@ -176,46 +174,51 @@ def _kernel(*arguments: Any) -> Tensor:
 
 _shine = operator(
     "shine(Tensor position, Tensor frame, Tensor place, Tensor eye, Tensor seen, Tensor table, int turns, "
-    "Tensor values, Tensor maps, Tensor turn, Tensor lamps, Tensor powers, Tensor? share, Tensor? mean, Tensor? meets, "
-    "Tensor? records, Tensor? sent, Tensor? all_seen, Tensor? tables, Tensor? whole) -> Tensor",
+    "Tensor values, Tensor maps, Tensor turn, Tensor lamps, Tensor powers, Tensor through, Tensor? share, "
+    "Tensor? mean, Tensor? meets, Tensor? records, Tensor? sent, Tensor? all_seen, Tensor? tables, Tensor? whole) -> Tensor",
     plain=_plain,
     kernel=_kernel,
     conditions=_conditions,
     fake=lambda position, frame, place, *others: position.new_empty(len(place), 3),
 )
 
-# What arrives of lamps
+# How much of lamps is seen
 
 
 @inlined
-def irradiance(frame: Tensor, seen: Tensor, lamps: Tensor, powers: Tensor) -> Tensor:
-    """E (n, c), as `ptt.ops.gloss.irradiance`."""
-    result: Tensor = _irradiance(frame, seen, lamps, powers)
+def lamp_visibility(visible: Tensor, cells: Tensor, shares: Tensor) -> Tensor:
+    """Shares (m, n), as `ptt.ops.gloss.lamp_visibility`."""
+    result: Tensor = _lamp_visibility(visible, cells, shares)
     return result
 
 
-def _irradiance_kernel(frame: Tensor, seen: Tensor, lamps: Tensor, powers: Tensor) -> Tensor:
-    n = frame.shape[2]
-    out = frame.new_empty(n, 3)
-    run(
-        "irradiance",
-        frame=frame,
-        lamps=lamps.contiguous(),
-        powers=powers.contiguous(),
-        seen=seen,
-        out=out,
-        n=n,
-        sources=len(lamps),
-    )
+def _lamp_conditions(visible: Tensor, cells: Tensor, shares: Tensor) -> Conditions:
+    yield of_type(torch.int32, visible) and of_type(torch.int64, cells), "visible must be int32, and cells int64"
+    yield of_type(torch.float32, shares), "shares must be float32"
+    yield contiguous(visible, cells, shares), "visible, cells and shares must be contiguous"
+    n = visible.shape[-1]
+    yield visible.ndim == 2 and n % GROUP == 0, f"visible must be (words, n), n a multiple of {GROUP}"
+    yield cells.ndim == 2 and cells.shape == shares.shape, "cells and shares must be (m, k)"
+
+
+def _lamp_fake(visible: Tensor, cells: Tensor, shares: Tensor) -> Tensor:
+    return shares.new_empty(len(cells), visible.shape[1])
+
+
+def _lamp_kernel(visible: Tensor, cells: Tensor, shares: Tensor) -> Tensor:
+    out = _lamp_fake(visible, cells, shares)
+    sources, each = cells.shape
+    n = visible.shape[1]
+    run("lamp_visibility", visible=visible, cells=cells, shares=shares, out=out, n=n, sources=sources, each=each)
     return out
 
 
-_irradiance = operator(
-    "irradiance(Tensor frame, Tensor seen, Tensor lamps, Tensor powers) -> Tensor",
-    plain=lambda *arguments: plain.irradiance(*arguments),
-    kernel=_irradiance_kernel,
-    conditions=_of_lamps,
-    fake=lambda frame, *others: frame.new_empty(frame.shape[2], 3),
+_lamp_visibility = operator(
+    "lamp_visibility(Tensor visible, Tensor cells, Tensor shares) -> Tensor",
+    plain=lambda *arguments: plain.lamp_visibility(*arguments),
+    kernel=_lamp_kernel,
+    conditions=_lamp_conditions,
+    fake=_lamp_fake,
 )
 
 # Cells of f cos

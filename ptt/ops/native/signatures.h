@@ -81,6 +81,7 @@ struct View {
 
 struct Shine {
     const float *position, *frame, *eye, *table, *values, *maps, *turn, *lamps, *powers;
+    const float *through;                                 // (sources, n), how much of lamps is seen
     const float *share;                                   // null for all of the material everywhere
     const float *mean, *records, *sent, *tables, *whole;  // of what lies around
     const int32_t *meets;                          // null where nothing does
@@ -92,11 +93,12 @@ struct Shine {
     int32_t threads;
 };
 
-struct Irradiance {
-    const float *frame, *lamps, *powers;
-    const uint8_t *seen;
-    float *out;          // (n, 3)
-    int64_t n, sources;
+struct LampVisibility {
+    const int32_t *visible;      // (words, n)
+    const int64_t *cells;        // (sources, each)
+    const float *shares;         // (sources, each)
+    float *out;                  // (sources, n)
+    int64_t n, sources, each;
     int32_t threads;
 };
 

@@ -50,7 +50,12 @@ def inputs(
     values = torch.rand(turns * TILTS, RINGS, sectors, 3, generator=g)
     maps = torch.rand(LEVELS, side * side, 4, generator=g)
     maps[..., 3] = 0
-    light = GlossLight(maps, rotations(1, g)[0].contiguous(), directions(lamps, g), torch.rand(lamps, 3, generator=g))
+    of_lamps = (
+        directions(lamps, g),
+        torch.rand(lamps, 3, generator=g),
+        torch.rand(lamps, n, generator=g).round(decimals=1),
+    )
+    light = GlossLight(maps, rotations(1, g)[0].contiguous(), *of_lamps)
     eye = directions(n, g).T.contiguous() if distant else torch.ones(3)
     return Inputs(points, eye, words(n, WORDS, g), Gloss(Lobes(table, turns), values, table[:0], sharp=False), light)
 
@@ -172,7 +177,8 @@ def test_agrees_where_the_material_is_a_part(built: None, calls: list[int]) -> N
 
 def test_what_is_hidden_is_dark(built: None) -> None:
     x = inputs()
-    assert native.shine(*x._replace(seen=torch.zeros_like(x.seen))).count_nonzero() == 0
+    light = x.light._replace(through=torch.zeros_like(x.light.through))
+    assert native.shine(*x._replace(seen=torch.zeros_like(x.seen), light=light)).count_nonzero() == 0
 
 
 def test_a_point_at_the_eye_is_as_head_on(built: None, calls: list[int]) -> None:
@@ -209,14 +215,14 @@ def test_gradients_pass() -> None:
     assert table.grad is not None and table.grad.isfinite().all()
 
 
-@pytest.mark.parametrize("lamps", [0, 1, 9])
-def test_irradiance_agrees(built: None, lamps: int) -> None:
-    x = inputs(lamps=lamps)
-    given = x.points.frame, x.seen, x.light.lamps, x.light.powers
+@pytest.mark.parametrize(("lamps", "each"), [(0, 0), (1, 1), (9, 13)])
+def test_lamp_visibility_agrees(built: None, lamps: int, each: int) -> None:
+    g = torch.Generator().manual_seed(lamps)
+    given = words(12, 96, g), torch.randint(12 * 32, (lamps, each), generator=g), torch.rand(lamps, each, generator=g)
     with native.refusals() as found:
-        got = native.irradiance(*given)
+        got = native.lamp_visibility(*given)
     assert not found
-    torch.testing.assert_close(got, plain.irradiance(*given), rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(got, plain.lamp_visibility(*given), rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("shape", [GGX(1.0, 0.03), GGX(1.0, 0.5), Ward(0.1, 0.3)], ids=str)

@@ -113,9 +113,9 @@ def shine() -> None:
     maps = uniform(LEVELS, 36, 4)
     around = Around(uniform(3, n), meets, records, uniform(3, SENT), seen, uniform(TILTS, SENT), maps)
     for lamps, other in ((0, None), (2, around)):
-        light = GlossLight(maps, torch.eye(3), uniform(lamps, 3), uniform(lamps, 3))
+        light = GlossLight(maps, torch.eye(3), uniform(lamps, 3), uniform(lamps, 3), uniform(lamps, n))
         native.shine(surface, torch.tensor([0.2, 0.4, 5.0]), seen, gloss, light, other, uniform(3, n))
-    native.irradiance(surface.frame, seen, light.lamps, light.powers)
+    native.lamp_visibility(seen, torch.arange(8).reshape(2, 4), uniform(2, 4))
     native.cell_sums(uniform(3, 3, 40), uniform(6, 40, 3), 4)
 
 
