@@ -175,7 +175,8 @@ def _kernel(*arguments: Any) -> Tensor:
 _shine = operator(
     "shine(Tensor position, Tensor frame, Tensor place, Tensor eye, Tensor seen, Tensor table, int turns, "
     "Tensor values, Tensor maps, Tensor turn, Tensor lamps, Tensor powers, Tensor through, Tensor? share, "
-    "Tensor? mean, Tensor? meets, Tensor? records, Tensor? sent, Tensor? all_seen, Tensor? tables, Tensor? whole) -> Tensor",
+    "Tensor? mean, Tensor? meets, Tensor? records, Tensor? sent, Tensor? all_seen, Tensor? tables, Tensor? whole) "
+    "-> Tensor",
     plain=_plain,
     kernel=_kernel,
     conditions=_conditions,
