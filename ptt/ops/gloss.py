@@ -8,9 +8,10 @@ w_n, a_n and s_n are the weights, axes and widths of a material's lobes (`ops.ce
 reflected by f itself; V_vm is how much of it is seen, the same from wherever one looks.
 
 y_n is the point that v sees along a_n (`Around`), which sends to v what is diffuse, D, and what its material reflects
-as one lobe w, a, s, of the light, and of the mean S of the surfaces that it sees itself:
+as one lobe w, a, s, of the light, of the mean S of the surfaces that it sees itself, and of lamps, with g a lobe on the
+sphere of von Mises and Fisher:
 
-    B[y, c] = D[y, c] + w[c] (V_y(a, s) E[c](a, s) + (1 - V_y(a, s)) S[y, c])
+    B[y, c] = D[y, c] + w[c] (V_y(a, s) E[c](a, s) + (1 - V_y(a, s)) S[y, c] + sum over m of  g(a, s, d_m) V_ym P_m[c])
 
 The wider a lobe of v is, the more it sees S[v, c] in place of one point. In a trial on a statue under uffizi, light
 that bounced to gold of roughness 0.7 erred by 17 % without that, by 8 with it; from 0.2 to 0.5 it changes little.
@@ -27,7 +28,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from ptt.ops.cells import Gloss, frames, octaves
+from ptt.ops.cells import NARROWEST, Gloss, frames, octaves
 from ptt.ops.constants import (
     BITS,
     HEAD_ON,
@@ -55,6 +56,9 @@ and maps of 24 x 24 cells for 7, 14 and 28 degrees, of three times the size, 4.3
 
 MET = MEETS * MEETS * 3 // 2
 """Words that say which points a point sees, and with which normals."""
+
+SHARPNESS = (3 / math.radians(NARROWEST)) ** 2
+"""The inverse variance of a lobe of level 1, of which a level more is half."""
 
 AT_ONCE = 4096  # points that are worked out together, so that they stay in the cache
 
@@ -85,7 +89,8 @@ class Around(NamedTuple):
     sent (p, SENT): of all: D, S; zeros
     seen (s, words) int32: of all, as for `shine`
     tables (regions * TILTS, SENT): a, s and w of the lobes that materials reflect as one; zero
-    maps (LEVELS, cells, 4): as those of `GlossLight`, with the lamps
+    maps (LEVELS, cells, 4), lamps (m, 3), powers (m, c): as those of `GlossLight`
+    through (s, m): how much of each lamp all see, in the order of `seen`
     """
 
     mean: Tensor
@@ -95,6 +100,9 @@ class Around(NamedTuple):
     seen: Tensor
     tables: Tensor
     maps: Tensor
+    lamps: Tensor
+    powers: Tensor
+    through: Tensor
 
 
 def rows_of(wo: Tensor, turns: int) -> tuple[Tensor, Tensor]:
@@ -190,7 +198,8 @@ def _from_points(around: Around, frame: Tensor, axes: Tensor, turn: Tensor) -> T
     met = around.meets.gather(1, cell).long()
     normal = _normals(around.meets, cell).to(axes)
     of_point = around.points[met.clamp(min=0)]
-    wo = -(of_point[..., :9].unflatten(-1, (3, 3)) @ (axes @ frame)[..., None])[..., 0]
+    towards = normalize(axes @ frame, dim=-1)  # between rows of a table axes are shorter
+    wo = -(of_point[..., :9].unflatten(-1, (3, 3)) @ towards[..., None])[..., 0]
     there = torch.nonzero((met >= 0) & ((wo * normal).sum(-1) > 0), as_tuple=True)
     sent = _as_one_lobe(around, met[there], of_point[there], normal[there], wo[there], turn)
     return sent.new_zeros(*met.shape, sent.shape[1]).index_put(there, sent)
@@ -209,7 +218,8 @@ def _as_one_lobe(around: Around, met: Tensor, of_point: Tensor, normal: Tensor, 
 
     The nearest row of the table and the nearest width serve: what comes of many such points is a mean. Normals are
     interpolated: in a trial on a statue of gold of roughness 0.2, 0.3 and 0.5 those of the vertices left 39, 35 and
-    12 % of error in light that bounces, these 28, 26 and 10.
+    12 % of error in light that bounces, these 28, 26 and 10. Under a map with lamps, which are seen or are not, one
+    share of visibility for the whole lobe left 50 and 24 % at 0.3 and 0.5, lamps apart leave 30 and 12.
     """
     cosine = (wo * normal).sum(1, keepdim=True)
     row = (cosine[:, 0] * (TILTS - 0.5) - 0.5).round().clamp(0, TILTS - 1) + of_point[:, 10]
@@ -219,10 +229,17 @@ def _as_one_lobe(around: Around, met: Tensor, of_point: Tensor, normal: Tensor, 
     along = cosine / sine * flat + sine * normal
     axis = (table[:, :1] * along + table[:, 2:3] * (cosine * normal - flat))[:, None]  # shape: (m, 1, 3)
     level = table[:, None, 3].detach().round()
-    through = visible(around.seen[of_point[:, 9].long()], axis, level) * (axis[..., 2] > 0)
-    lit = blurred(around.maps, axis @ of_point[:, :9].unflatten(-1, (3, 3)) @ turn, level)[:, 0]
+    row_seen = of_point[:, 9].long()
+    through = visible(around.seen[row_seen], axis, level) * (axis[..., 2] > 0)
+    world = axis @ of_point[:, :9].unflatten(-1, (3, 3))
+    lit = blurred(around.maps, world @ turn, level)[:, 0]
     dull, mean = around.sent[met][:, :3], around.sent[met][:, 3:6]
-    return dull + table[:, 4:7] * torch.lerp(mean, lit, through)
+    reflected = torch.lerp(mean, lit, through)
+    if len(around.lamps):
+        about = SHARPNESS * torch.exp2(1 - level)  # shape: (m, 1)
+        lobe = about / (2 * math.pi) * torch.exp(about * ((world @ around.lamps.T)[:, 0] - 1))
+        reflected = reflected + (lobe * around.through[row_seen]) @ around.powers
+    return dull + table[:, 4:7] * reflected
 
 
 def blurred(maps: Tensor, axes: Tensor, level: Tensor) -> Tensor:

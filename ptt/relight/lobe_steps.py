@@ -55,11 +55,12 @@ class ArrivingIrradiance(NamedTuple):
 
 
 class LobeLight(NamedTuple):
-    """Under one light: what arrives in every region, how much of its lamps points in blocks see (m, n), what arrives of
-    them (n, c), and the light."""
+    """Under one light: what arrives in every region, how much of its lamps points in blocks see (m, n), and all of them
+    together (s, m), what arrives of lamps (n, c), and the light."""
 
     arriving: list[ArrivingIrradiance]
     through: list[Tensor]
+    together: Tensor
     of_lamps: list[Tensor]
     split: SplitLight
 
@@ -168,7 +169,7 @@ class LobeSteps(nn.Module):
         cells, shares = _cells_of(split.lamps, self.model.grid)
         through = [self._operations.lamp_visibility(region.sky, cells, shares) for region in self.model.clustered]
         of_lamps = [_irradiance(*given, split.lamps) for given in zip(self.points, through, strict=True)]
-        return LobeLight(arriving, through, of_lamps, split)
+        return LobeLight(arriving, through, torch.cat(through, 1).T.contiguous(), of_lamps, split)
 
     def _arriving(
         self, region: ClusteredTransfer, fine: Tensor, coarse: Tensor, coarsest: Tensor
@@ -246,7 +247,10 @@ class LobeSteps(nn.Module):
             pad(torch.cat(sent), (0, SENT - 6)),
             self.seen,
             torch.cat([material.whole for material in tables]),
-            light.split.whole.maps,
+            light.split.rest.maps,
+            light.split.lamps.directions,
+            light.split.lamps.powers,
+            light.together,
         )
         return [
             LobeRegion(

@@ -206,7 +206,13 @@ def ceiling(sent: Tensor, table: Tensor, seen: Tensor) -> gloss.Around:
     record[0, :9] = torch.tensor([1.0, 0, 0, 0, -1, 0, 0, 0, -1])
     sky = light_of(lambda d: torch.where(d[:, 2] < 0, 2.0, 0.0))  # from below
     meets = torch.zeros(16, gloss.MET, dtype=torch.int32)
-    return gloss.Around(torch.zeros(3, 16), meets, record, sent[None], seen[:1], table.repeat(TILTS, 1), sky.maps)
+    return gloss.Around(
+        torch.zeros(3, 16), meets, record, sent[None], seen[:1], table.repeat(TILTS, 1), sky.maps, *no_lamps()
+    )
+
+
+def no_lamps() -> tuple[Tensor, Tensor, Tensor]:
+    return torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(1, 0)
 
 
 @pytest.mark.parametrize("shape", [GGX(1.0, 0.1), GGX(1.0, 0.6), GGX(0.04, 0.3)], ids=str)
@@ -261,6 +267,27 @@ def test_a_ceiling_reflects_by_its_normals_and_not_by_those_of_its_vertices() ->
         got = gloss.shine(blocks, wo, nothing, tables, light_of(lambda d: torch.zeros(len(d))), around)
         expected = 1 + math.sin(math.radians(2 * lean)) if lean < 45 else 0
         assert float(got[0, 0]) == pytest.approx(expected * albedo, rel=0.03, abs=0.05)
+
+
+@pytest.mark.parametrize("level", [5.0, 7.0, 9.0])
+def test_a_ceiling_spreads_lamps_over_its_lobe(level: float) -> None:
+    """A lamp below it, of which it sees a half: over all places of the lamp its lobe adds up to what it reflects."""
+    blocks, nothing = points(16, lambda d: d[:, 2] > 2)
+    tables = cells.gloss_of(grey(GGX(1.0, 0.1)), True, 16)
+    dark = light_of(lambda d: torch.zeros(len(d)))
+    wo = tilted(0.0, 0.0, 16)
+    lobe = torch.tensor([0.0, 0.0, 1.0, level, 1.0, 0.5, 0.25, 0.0])
+    around = ceiling(torch.zeros(SENT), lobe, points(16)[1])._replace(maps=dark.maps)
+    grid = Octahedral(48)
+    lamps = grid.directions().reshape(-1, 3).float()
+    solid = grid.solid_angles().reshape(-1, 1).float().expand(-1, 3)
+    lit = around._replace(lamps=lamps, powers=solid.contiguous(), through=torch.full((1, len(lamps)), 0.5))
+    got = gloss.shine(blocks, wo, nothing, tables, dark, lit)[0]
+    albedo = dense(GGX(1.0, 0.1), wo[:, 0], lambda d: torch.ones(len(d)))
+    assert got.tolist() == pytest.approx([albedo / 2, albedo / 4, albedo / 8], rel=0.03)
+    beside = lamps[:, 2] > 0  # above the ceiling
+    away = lit._replace(through=0.5 * beside[None].float())
+    assert float(gloss.shine(blocks, wo, nothing, tables, dark, away)[0, 0]) < 0.02 * albedo
 
 
 def test_wide_lobes_see_the_mean_of_surfaces() -> None:

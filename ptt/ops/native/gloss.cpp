@@ -160,6 +160,19 @@ static inline void light_at(const float *maps, int map, const Lanes *d, Ints lev
     }
 }
 
+// What comes of lamps in lobes about axes in the world, of points that are rows of `near_through`
+// (ptt.ops.gloss._as_one_lobe)
+static inline void lamps_in(const Shine &g, const Lanes *axis, Ints level, Ints row, Lanes *e) {
+    const Lanes about = g.sharpness * (Lanes)((128 - level) << 23), peak = about * 0.159154943f;
+    for (int64_t m = 0; m < g.near_sources; ++m) {
+        const float *d = g.near + 3 * m, *power = g.near_powers + 3 * m;
+        const Lanes cosine = axis[0] * d[0] + axis[1] * d[1] + axis[2] * d[2];
+        const Lanes seen = gather(g.near_through + m, row * (int)g.near_sources);
+        const Lanes lobe = peak * exponential(least(about * (cosine - 1.0f), all(0))) * seen;
+        for (int c = 0; c < 3; ++c) e[c] += lobe * power[c];
+    }
+}
+
 // What points of local normals send against the axis of a lobe of a group; 0 where they face away
 // (ptt.ops.gloss._as_one_lobe)
 static inline void as_one_lobe(
@@ -169,8 +182,10 @@ static inline void as_one_lobe(
     for (int i = 0; i < 12; i += 4) gather_four(g.records + i, point * RECORD, record + i);
     for (int c = 0; c < 3; ++c)
         world[c] = lobe.local[0] * at.frame[0][c] + lobe.local[1] * at.frame[1][c] + lobe.local[2] * at.frame[2][c];
+    const Lanes length = root(world[0] * world[0] + world[1] * world[1] + world[2] * world[2]);
+    const Lanes back = -1.0f / most(length, all(TINY));
     for (int r = 0; r < 3; ++r)
-        wo[r] = -(record[3 * r] * world[0] + record[3 * r + 1] * world[1] + record[3 * r + 2] * world[2]);
+        wo[r] = back * (record[3 * r] * world[0] + record[3 * r + 1] * world[1] + record[3 * r + 2] * world[2]);
     const Lanes cosine = wo[0] * normal[0] + wo[1] * normal[1] + wo[2] * normal[2];
     if (!any(cosine > 0)) return;
     const Lanes tilt = least(most(cosine * (TILTS - 0.5f) - 0.5f, all(0)), all(TILTS - 1));
@@ -183,15 +198,15 @@ static inline void as_one_lobe(
     for (int c = 0; c < 3; ++c) local[c] = of_flat * flat[c] + of_normal * normal[c];
     const Ints level = clamp(whole(table[3] + 0.5f), LEVELS - 1);
     hemi_octahedral(local, a, b);
-    const Lanes seen = visible(g.all_seen, whole(record[9]) * SEEN, a, b, real(level));
+    const Ints of_seen = whole(record[9]);
+    const Lanes seen = visible(g.all_seen, of_seen * SEEN, a, b, real(level));
     const Lanes through = local[2] > 0 ? seen : all(0);
     for (int c = 0; c < 3; ++c) axis[c] = local[0] * record[c] + local[1] * record[3 + c] + local[2] * record[6 + c];
     turned(axis, g.turn, d);
-    light_at(g.whole, g.map, d, level, e);
-    for (int c = 0; c < 3; ++c) {
-        const Lanes mean = sent[3 + c], about = mean + through * (e[c] - mean);
-        out[c] = cosine > 0 ? sent[c] + table[4 + c] * about : all(0);
-    }
+    light_at(g.rest, g.map, d, level, e);
+    for (int c = 0; c < 3; ++c) e[c] = sent[3 + c] + through * (e[c] - sent[3 + c]);
+    lamps_in(g, axis, level, of_seen, e);
+    for (int c = 0; c < 3; ++c) out[c] = cosine > 0 ? sent[c] + table[4 + c] * e[c] : all(0);
 }
 
 // What a group sees of other points about the axis of a lobe, times the share that is hidden from the sky

@@ -76,7 +76,10 @@ class _Shine(NamedTuple):
     sent: Tensor | None
     all_seen: Tensor | None
     tables: Tensor | None
-    whole: Tensor | None
+    rest: Tensor | None
+    near: Tensor | None
+    near_powers: Tensor | None
+    near_through: Tensor | None
 
 
 def _plain(*arguments: Any) -> Tensor:
@@ -120,8 +123,8 @@ def _conditions(*arguments: Any) -> Conditions:
 
 
 def _of_around(g: _Shine, around: Around) -> Conditions:
-    mean, meets, points, sent, seen, tables, maps = around
-    yield of_type(torch.float32, mean, points, sent, tables, maps), "what lies around must be float32"
+    mean, meets, points, sent, seen, tables, maps, lamps, powers, through = around
+    yield of_type(torch.float32, mean, points, sent, tables, maps, lamps, powers, through), "all around must be float32"
     yield of_type(torch.int32, meets, seen), "what points see, and which points, must be int32"
     yield contiguous(*around), "what lies around must be contiguous"
     yield mean.shape == g.position.shape, "the mean of surfaces must be (3, n)"
@@ -131,7 +134,10 @@ def _of_around(g: _Shine, around: Around) -> Conditions:
     yield seen.shape == (len(seen), WORDS), f"what all see must be (s, {WORDS})"
     yield 4 * WORDS * len(seen) < 2**31, "what all see must have fewer than 2^31 bytes"
     yield tables.ndim == 2 and tables.shape[1] == SENT, f"tables must be (regions * {TILTS}, {SENT})"
-    yield maps.shape == g.maps.shape, "the maps of the whole light must be as those of the rest"
+    yield maps.shape == g.maps.shape, "the maps of the light must have one size"
+    yield lamps.shape == powers.shape == (len(lamps), 3), "lamps and powers must be (m, 3)"
+    yield through.shape == (len(seen), len(lamps)), "what all see of lamps must be (s, m)"
+    yield through.numel() < 2**31, "what all see of lamps must have fewer than 2^31 numbers"
 
 
 def _kernel(*arguments: Any) -> Tensor:
@@ -158,13 +164,18 @@ def _kernel(*arguments: Any) -> Tensor:
         sent=g.sent,
         all_seen=g.all_seen,
         tables=g.tables,
-        whole=g.whole,
+        rest=g.rest,
+        near=g.near,
+        near_powers=g.near_powers,
+        near_through=g.near_through,
         place=g.place,
         line=g.position.new_empty(n, 3),
         out=out,
         n=n,
         points=len(out),
         sources=len(g.lamps),
+        near_sources=0 if g.near is None else len(g.near),
+        sharpness=plain.SHARPNESS,
         distant=g.eye.ndim == 2,
         lobes=g.table.shape[1],
         map=side(g.maps.shape[1]),
@@ -175,8 +186,8 @@ def _kernel(*arguments: Any) -> Tensor:
 _shine = operator(
     "shine(Tensor position, Tensor frame, Tensor place, Tensor eye, Tensor seen, Tensor table, int turns, "
     "Tensor values, Tensor maps, Tensor turn, Tensor lamps, Tensor powers, Tensor through, Tensor? share, "
-    "Tensor? mean, Tensor? meets, Tensor? records, Tensor? sent, Tensor? all_seen, Tensor? tables, Tensor? whole) "
-    "-> Tensor",
+    "Tensor? mean, Tensor? meets, Tensor? records, Tensor? sent, Tensor? all_seen, Tensor? tables, Tensor? rest, "
+    "Tensor? near, Tensor? near_powers, Tensor? near_through) -> Tensor",
     plain=_plain,
     kernel=_kernel,
     conditions=_conditions,

@@ -210,6 +210,16 @@ static inline Lanes angle(Lanes s, Lanes z) {
     return p * t + 0.78539816f;
 }
 
+// e to the power of x <= 0, to 2e-7
+static inline Lanes exponential(Lanes x) {
+    const Lanes t = most(x * 1.44269504f, all(-100));
+    const Ints i = whole(t - 0.5f);  // the nearest
+    const Lanes f = t - real(i);
+    Lanes p = all(0.000154035f);
+    for (float a : {0.00133335581f, 0.00961812911f, 0.0555041087f, 0.240226507f, 0.693147181f, 1.0f}) p = p * f + a;
+    return p * (Lanes)((i + 127) << 23);
+}
+
 struct Corners {  // of a bilinear lookup
     Ints cell[4];
     Lanes weight[4];

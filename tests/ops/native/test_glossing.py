@@ -91,6 +91,7 @@ def surroundings(n: int, p: int, g: torch.Generator) -> Around:
     rows = torch.cat((directions(3, g), torch.tensor([[0.0], [4.0], [7.0]]), torch.rand(3, 4, generator=g)), 1)
     tables = rows.repeat_interleave(TILTS, 0)
     maps = torch.rand(LEVELS, 144, 4, generator=g)
+    lamps = 5
     return Around(
         torch.rand(3, n, generator=g),
         meets,
@@ -99,6 +100,9 @@ def surroundings(n: int, p: int, g: torch.Generator) -> Around:
         words(7, WORDS, g),
         tables,
         maps,
+        directions(lamps, g),
+        torch.rand(lamps, 3, generator=g),
+        torch.rand(7, lamps, generator=g),
     )
 
 

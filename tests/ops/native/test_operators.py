@@ -111,7 +111,16 @@ def shine() -> None:
     meets = torch.arange(n * MET, dtype=torch.int32).reshape(n, -1) % 4 - 1
     records = torch.cat((torch.eye(3).flatten().expand(3, -1), torch.zeros(3, RECORD - 9)), 1)
     maps = uniform(LEVELS, 36, 4)
-    around = Around(uniform(3, n), meets, records, uniform(3, SENT), seen, uniform(TILTS, SENT), maps)
+    around = Around(
+        uniform(3, n),
+        meets,
+        records,
+        uniform(3, SENT),
+        seen,
+        uniform(TILTS, SENT),
+        maps,
+        *map(uniform, (2, 2, n), (3, 3, 2)),
+    )
     for lamps, other in ((0, None), (2, around)):
         light = GlossLight(maps, torch.eye(3), uniform(lamps, 3), uniform(lamps, 3), uniform(lamps, n))
         native.shine(surface, torch.tensor([0.2, 0.4, 5.0]), seen, gloss, light, other, uniform(3, n))
