@@ -133,7 +133,7 @@ def _trade(
 
 def _furnace(table: Table) -> None:
     """What 16 lobes reflect of even light, over what the shape does: the worst of whole spaces."""
-    ggx: list[Any] = [GGX(f0, r) for f0 in (0.0, 0.04, 1.0) for r in (0.03, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)]
+    ggx: list[Any] = [GGX(f0, r) for f0 in (0.02, 0.04, 1.0) for r in (0.03, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)]
     spaces = {"GGX": ggx, "Blinn-Phong": ptt.BRDFSpace.blinn_phong().samples, "fitted": ptt.BRDFSpace.fitted().samples}
     for name, shapes in spaces.items():
         for angles, goal in (((0, 20, 40, 60, 70, 80), 0.01), ((82, 85, 87), 0.03)):
