@@ -92,7 +92,7 @@ def _stamp(value: Any, leaves: list[Tensor], given: bool = False) -> Any:
         if value.is_inference() or stands_in(value):
             return None
         if value.layout == torch.strided and value.numel() <= SMALL:
-            return value.dtype, value.device, value.shape, value.tolist()
+            return value.dtype, value.device, value.shape, value.flatten().tolist()  # rows without numbers are no lists
         return Watch((value,), given)
     if isinstance(value, Watch):
         leaves.extend(value.tensors)

@@ -82,8 +82,8 @@ class Around(NamedTuple):
     """What n points may see of each other, p points in all.
 
     mean (3, n): S of each of the n
-    meets (n, MET) int32: which point each sees about the axes of a `HemiOctahedral` map, -1 for none, and then the
-        normals there, in the frames of those points (`transfer.meets`)
+    meets (n, MET) int32: which point each sees about the axes of a `HemiOctahedral` map, -1 for none, and the normal
+        there, in the frame of that point (`transfer.meets_packed`)
     points (p, RECORD): of all: rows of the frame, and, as whole numbers, their rows of `seen` and the first of their
         region's in `tables`; zeros
     sent (p, SENT): of all: D, S; zeros
@@ -195,8 +195,9 @@ def _from_points(around: Around, frame: Tensor, axes: Tensor, turn: Tensor) -> T
     """
     place = ((hemi_octahedral(axes) + 1) * (MEETS / 2)).floor().clamp(0, MEETS - 1).long()
     cell = place[..., 1] * MEETS + place[..., 0]
-    met = around.meets.gather(1, cell).long()
-    normal = _normals(around.meets, cell).to(axes)
+    pair = 3 * (cell >> 1)
+    met = around.meets.gather(1, pair + (cell & 1)).long()
+    normal = _normals(around.meets.gather(1, pair + 2) >> 16 * (cell & 1).int()).to(axes)
     of_point = around.points[met.clamp(min=0)]
     towards = normalize(axes @ frame, dim=-1)  # between rows of a table axes are shorter
     wo = -(of_point[..., :9].unflatten(-1, (3, 3)) @ towards[..., None])[..., 0]
@@ -205,11 +206,10 @@ def _from_points(around: Around, frame: Tensor, axes: Tensor, turn: Tensor) -> T
     return sent.new_zeros(*met.shape, sent.shape[1]).index_put(there, sent)
 
 
-def _normals(meets: Tensor, cell: Tensor) -> Tensor:
-    """Normals (n, k, 3) of what points see in some cells (n, k), in the frames of what they see."""
-    coordinates = meets[:, MEETS * MEETS :].view(torch.int8).unflatten(1, (-1, 2))
-    chosen = coordinates.gather(1, cell[..., None].expand(-1, -1, 2))
-    return normalize(from_hemi_octahedral(chosen / NORMAL), dim=-1)
+def _normals(words: Tensor) -> Tensor:
+    """Normals (n, k, 3) of which the lower half of words (n, k) int32 has the coordinates, a signed byte each."""
+    coordinates = torch.stack(((words << 24) >> 24, (words << 16) >> 24), -1)
+    return normalize(from_hemi_octahedral(coordinates / NORMAL), dim=-1)
 
 
 def _as_one_lobe(around: Around, met: Tensor, of_point: Tensor, normal: Tensor, wo: Tensor, turn: Tensor) -> Tensor:

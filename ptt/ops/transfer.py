@@ -61,11 +61,8 @@ def gather(surface: Surface, faces: Tensor, points: Tensor, frames: Tensor, loca
 
 
 def meets(surface: Surface, faces: Tensor, shading: Tensor, points: Tensor, frames: Tensor, local: Tensor) -> Tensor:
-    """What each point sees in each local direction (n, 3), n even: (v, n + n / 2) int32, first the vertices, the
-    nearest of the triangle, -1 for none, and then the normals there, two signed bytes each.
-
-    A normal is interpolated between vertices. Its bytes are 127ths of its coordinates on the map of the hemisphere
-    (`hemi_octahedral`) in the frame of the vertex, to 0.6 degrees.
+    """What each point sees in each local direction (n, 3), n even: (v, 3 n / 2) int32, as `meets_packed`: the vertex,
+    the nearest of the triangle, and the normal, interpolated between vertices, in the frame of that one.
 
     surface, faces, points, frames: as for `gather`; back faces show nothing
     shading (p, 3, 3): frames of all vertices
@@ -76,9 +73,27 @@ def meets(surface: Surface, faces: Tensor, shading: Tensor, points: Tensor, fram
     normal = (hits.barycentric[:, None].to(shading) @ corner_normals)[:, 0]
     own = (shading[met.clamp(min=0).long()] @ normal[..., None])[..., 0]
     own[:, 2].clamp_(min=TINY)
-    packed = (hemi_octahedral(own) * NORMAL).round().to(torch.int8) * (met >= 0)[:, None]
-    words = packed.flatten().view(torch.int32).reshape(len(points), len(local) // 2)
-    return torch.cat((met.reshape(len(points), len(local)), words), 1)
+    seen = len(points), len(local)
+    return meets_packed(met.reshape(seen), torch.where(met[:, None] >= 0, own, 0).reshape(*seen, 3))
+
+
+def meets_packed(met: Tensor, normals: Tensor) -> Tensor:
+    """Vertices (v, n) int32, -1 for none, and local normals (v, n, 3), 0 for none, as words (v, 3 n / 2) int32: of two
+    directions the vertices, and then the normals, in two signed bytes each.
+
+    Bytes are 127ths of coordinates on the map of the hemisphere (`hemi_octahedral`), right to 0.6 degrees.
+    """
+    v, n = met.shape
+    length = normals.abs().sum(2, keepdim=True).clamp(min=TINY)
+    coordinates = (hemi_octahedral(normals / length + normals.new_tensor([0, 0, TINY])) * NORMAL).round()
+    words = coordinates.to(torch.int8).flatten().view(torch.int32).reshape(v, n // 2, 1)
+    return torch.cat((met.reshape(v, n // 2, 2), words), 2).reshape(v, n // 2 * 3)
+
+
+def met(packed: Tensor) -> Tensor:
+    """The vertices (v, n) int32 in words (v, 3 n / 2) of `meets_packed`."""
+    v, words = packed.shape
+    return packed.reshape(v, words // 3, 3)[..., :2].reshape(v, words // 3 * 2)
 
 
 def _first_hits(surface: Surface, points: Tensor, frames: Tensor, local: Tensor) -> Hits:

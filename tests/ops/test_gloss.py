@@ -12,9 +12,9 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from ptt.materials.shapes import GGX, Analytic, BlinnPhong, CookTorrance, Ward
-from ptt.ops import cells, gloss
-from ptt.ops.constants import BITS, LEVELS, MEETS, NORMAL, RECORD, SENT, TILTS
-from ptt.ops.octahedral import HemiOctahedral, Octahedral, bordered, hemi_octahedral
+from ptt.ops import cells, gloss, transfer
+from ptt.ops.constants import BITS, LEVELS, MEETS, RECORD, SENT, TILTS
+from ptt.ops.octahedral import HemiOctahedral, Octahedral, bordered
 from ptt.ops.sphere import Cube
 from ptt.ops.view import SurfaceBlocks
 
@@ -246,7 +246,7 @@ def test_a_ceiling_that_looks_away_or_is_not_there_sends_nothing() -> None:
     dark = light_of(lambda d: torch.zeros(len(d)))
     around = ceiling(torch.ones(SENT), torch.ones(SENT), points(16)[1])
     away = around._replace(points=around.points * torch.tensor([1.0] * 6 + [-1.0] * 3 + [1.0] * 7))
-    none = around._replace(meets=around.meets - 1)
+    none = around._replace(meets=torch.full_like(around.meets, -1))
     for other in (away, none):
         assert not gloss.shine(blocks, tilted(30.0, 0.0, 16), nothing, tables, dark, other).any()
 
@@ -262,9 +262,9 @@ def test_a_ceiling_reflects_by_its_normals_and_not_by_those_of_its_vertices() ->
     albedo = dense(shape, wo[:, 0], lambda d: torch.ones(len(d)))
     around = ceiling(torch.zeros(SENT), mirror, points(16)[1])._replace(maps=sky.maps)
     for lean in (0.0, 10.0, -10.0, 50.0):
-        own = (hemi_octahedral(tilted(lean)[:, 0]) * NORMAL).round().to(torch.int8)
-        around.meets[:, MEETS * MEETS :] = own.repeat(MEETS * MEETS).view(torch.int32)
-        got = gloss.shine(blocks, wo, nothing, tables, light_of(lambda d: torch.zeros(len(d))), around)
+        cells_of = torch.zeros(16, MEETS * MEETS, dtype=torch.int32)
+        leaning = around._replace(meets=transfer.meets_packed(cells_of, tilted(lean)[:, 0].expand(*cells_of.shape, 3)))
+        got = gloss.shine(blocks, wo, nothing, tables, light_of(lambda d: torch.zeros(len(d))), leaning)
         expected = 1 + math.sin(math.radians(2 * lean)) if lean < 45 else 0
         assert float(got[0, 0]) == pytest.approx(expected * albedo, rel=0.03, abs=0.05)
 

@@ -11,6 +11,7 @@
 
 constexpr float CLEAR = 1.0f / 512;  // a lobe of which less is hidden meets nothing: half of what a byte resolves
 constexpr int AHEAD = 2;    // groups, of which what is seen is fetched
+constexpr int TOGETHER = 8;  // lobes of which other points are found
 constexpr int COLUMNS = 7;  // of a lobe: along, across, mirror, level, and w of each channel
 constexpr int WIDE_FROM = BITS * BITS / 8, WIDEST_FROM = WIDE_FROM + WIDE_SIDE * WIDE_SIDE;  // bytes of what a point sees
 constexpr int MET = MEETS * MEETS * 3 / 2;  // words of which points a point sees, and with which normals
@@ -23,11 +24,15 @@ struct Lobe {
     Lanes a, b, level;  // where that lies on maps of the hemisphere, and how wide it is
     Ints first;         // number of the maps of light, and how far on to the right, down, and to the next level
     Lanes x, y, next;
+    Lanes seen;         // the share of it that gets through
+    Ints pair, second;  // words of two cells of what else is seen, and which of the two
 };
 
 // Of a group of points: the local direction to the eye, and unit (u, v) along it as seen from above; the row of tables
-// below it, and the share of the row above.
+// below it, and the share of the row above; how much there is of the material, channel by channel, and whether any.
 struct Look {
+    bool some;
+    Lanes material[3];
     Lanes wo[3], u, v, frame[3][3], share;
     Ints row;
     Lobe lobes[MOST_CELLS];
@@ -134,20 +139,6 @@ static inline Lanes visible(const uint8_t *seen, Ints from, Lanes a, Lanes b, La
     return through;
 }
 
-// The points that a group sees about the axis of a lobe, -1 for none, and the normals there, in their frames
-// (ptt.ops.gloss._normals)
-static inline Ints met_by(const Shine &g, int64_t v, const Lobe &lobe, Lanes *normal) {
-    const Ints column = clamp(whole((lobe.a + 1.0f) * (0.5f * MEETS)), MEETS - 1);
-    const Ints row = clamp(whole((lobe.b + 1.0f) * (0.5f * MEETS)), MEETS - 1);
-    const Ints cell = row * MEETS + column;
-    const float *from = (const float *)(g.meets + v * MET);
-    const Ints pair = (Ints)gather(from + MEETS * MEETS, lane() * MET + (cell >> 1)) >> 16 * (cell & 1);
-    const Lanes a = real(pair << 24 >> 24) * (0.5f / NORMAL), b = real(pair << 16 >> 24) * (0.5f / NORMAL);
-    const Lanes x = a + b, y = a - b, z = 1.0f - size(x) - size(y), scale = 1.0f / root(x * x + y * y + z * z);
-    normal[0] = x * scale, normal[1] = y * scale, normal[2] = z * scale;
-    return (Ints)gather(from, lane() * MET + cell);
-}
-
 // Light E about directions in the frame of the map, of the nearest of the widths (ptt.ops.gloss.blurred)
 static inline void light_at(const float *maps, int map, const Lanes *d, Ints level, Lanes *out) {
     const Place on = place_on_sphere(d, map);
@@ -173,54 +164,120 @@ static inline void lamps_in(const Shine &g, const Lanes *axis, Ints level, Ints 
     }
 }
 
-// What points of local normals send against the axis of a lobe of a group; 0 where they face away
+// Asks for what lies at some bytes from p.
+static inline void ask(const void *p, Ints offset) {
+    int32_t i[LANES];
+    std::memcpy(i, &offset, sizeof i);
+    for (int32_t o : i) __builtin_prefetch((const char *)p + o);
+}
+
+// How much of the sky a group sees by each lobe; asks for what hides the rest.
+static inline void see(const Shine &g, int64_t v, int64_t later, Look &at) {
+    for (int k = 0; k < g.lobes; ++k) {
+        fetch(g, later, k, g.lobes);
+        Lobe &lobe = at.lobes[k];
+        lobe.seen = visible(g.seen + v * SEEN, lane() * SEEN, lobe.a, lobe.b, lobe.level);
+        if (!g.meets || !any(1.0f - lobe.seen > CLEAR)) continue;
+        const Ints column = clamp(whole((lobe.a + 1.0f) * (0.5f * MEETS)), MEETS - 1);
+        const Ints row = clamp(whole((lobe.b + 1.0f) * (0.5f * MEETS)), MEETS - 1);
+        lobe.pair = lane() * MET + (row * MEETS + column) / 2 * 3, lobe.second = column & 1;
+        ask(g.meets + v * MET, 4 * lobe.pair);
+    }
+}
+
+// What a group sees about the axis of a lobe of other points, step by step as memory gives it: which they are, where
+// they are there, and their normals, in their frames; what they reflect as one lobe, in their frames and in the world,
+// and the rows of what they see.
+struct Others {
+    const Lobe *lobe;
+    int number;
+    Lanes hidden, normal[3], cosine, local[3], axis[3], w[3];
+    Ints there, point, level, row;
+};
+
+// (ptt.ops.gloss._normals)
+static inline void find_others(const Shine &g, int64_t v, Others &o) {
+    const float *from = (const float *)(g.meets + v * MET);
+    const Ints pair = o.lobe->pair, second = o.lobe->second;
+    const Ints met = (Ints)gather(from, pair + second), word = (Ints)gather(from + 2, pair) >> 16 * second;
+    const Lanes a = real(word << 24 >> 24) * (0.5f / NORMAL), b = real(word << 16 >> 24) * (0.5f / NORMAL);
+    const Lanes x = a + b, y = a - b, z = 1.0f - size(x) - size(y), scale = 1.0f / root(x * x + y * y + z * z);
+    o.normal[0] = x * scale, o.normal[1] = y * scale, o.normal[2] = z * scale;
+    o.there = (met >= 0) & (o.hidden > CLEAR), o.point = o.there ? met : Ints{};
+    ask(g.records, 4 * RECORD * o.point), ask(g.sent, 4 * SENT * o.point);
+}
+
 // (ptt.ops.gloss._as_one_lobe)
-static inline void as_one_lobe(
-    const Shine &g, const Look &at, const Lobe &lobe, Ints point, const Lanes *normal, Lanes *out
-) {
-    Lanes record[12], wo[3], world[3], local[3], axis[3], d[3], table[8], sent[8], e[3], a, b;
-    for (int i = 0; i < 12; i += 4) gather_four(g.records + i, point * RECORD, record + i);
-    for (int c = 0; c < 3; ++c)
-        world[c] = lobe.local[0] * at.frame[0][c] + lobe.local[1] * at.frame[1][c] + lobe.local[2] * at.frame[2][c];
+static inline void face(const Shine &g, const Look &at, Others &o) {
+    Lanes record[12], wo[3], world[3], flat[3], table[8], square = all(0), a, b;
+    const Lanes *own = o.lobe->local;
+    for (int i = 0; i < 12; i += 4) gather_four(g.records + i, o.point * RECORD, record + i);
+    for (int c = 0; c < 3; ++c) world[c] = own[0] * at.frame[0][c] + own[1] * at.frame[1][c] + own[2] * at.frame[2][c];
     const Lanes length = root(world[0] * world[0] + world[1] * world[1] + world[2] * world[2]);
     const Lanes back = -1.0f / most(length, all(TINY));
     for (int r = 0; r < 3; ++r)
         wo[r] = back * (record[3 * r] * world[0] + record[3 * r + 1] * world[1] + record[3 * r + 2] * world[2]);
-    const Lanes cosine = wo[0] * normal[0] + wo[1] * normal[1] + wo[2] * normal[2];
-    if (!any(cosine > 0)) return;
-    const Lanes tilt = least(most(cosine * (TILTS - 0.5f) - 0.5f, all(0)), all(TILTS - 1));
+    o.cosine = wo[0] * o.normal[0] + wo[1] * o.normal[1] + wo[2] * o.normal[2];
+    const Lanes tilt = least(most(o.cosine * (TILTS - 0.5f) - 0.5f, all(0)), all(TILTS - 1));
     const Ints row = (whole(tilt + 0.5f) + whole(record[10])) * SENT;
-    for (int i = 0; i < 8; i += 4) gather_four(g.tables + i, row, table + i), gather_four(g.sent + i, point * SENT, sent + i);
-    Lanes flat[3], square = all(0);
-    for (int c = 0; c < 3; ++c) flat[c] = wo[c] - cosine * normal[c], square += flat[c] * flat[c];
+    for (int i = 0; i < 8; i += 4) gather_four(g.tables + i, row, table + i);
+    for (int c = 0; c < 3; ++c) flat[c] = wo[c] - o.cosine * o.normal[c], square += flat[c] * flat[c];
     const Lanes sine = root(most(square, all(HEAD_ON * HEAD_ON)));
-    const Lanes of_flat = table[0] * cosine / sine - table[2], of_normal = table[0] * sine + table[2] * cosine;
-    for (int c = 0; c < 3; ++c) local[c] = of_flat * flat[c] + of_normal * normal[c];
-    const Ints level = clamp(whole(table[3] + 0.5f), LEVELS - 1);
-    hemi_octahedral(local, a, b);
-    const Ints of_seen = whole(record[9]);
-    const Lanes seen = visible(g.all_seen, of_seen * SEEN, a, b, real(level));
-    const Lanes through = local[2] > 0 ? seen : all(0);
-    for (int c = 0; c < 3; ++c) axis[c] = local[0] * record[c] + local[1] * record[3 + c] + local[2] * record[6 + c];
-    turned(axis, g.turn, d);
-    light_at(g.rest, g.map, d, level, e);
-    for (int c = 0; c < 3; ++c) e[c] = sent[3 + c] + through * (e[c] - sent[3 + c]);
-    lamps_in(g, axis, level, of_seen, e);
-    for (int c = 0; c < 3; ++c) out[c] = cosine > 0 ? sent[c] + table[4 + c] * e[c] : all(0);
+    const Lanes of_flat = table[0] * o.cosine / sine - table[2], of_normal = table[0] * sine + table[2] * o.cosine;
+    for (int c = 0; c < 3; ++c) o.local[c] = of_flat * flat[c] + of_normal * o.normal[c], o.w[c] = table[4 + c];
+    for (int c = 0; c < 3; ++c)
+        o.axis[c] = o.local[0] * record[c] + o.local[1] * record[3 + c] + o.local[2] * record[6 + c];
+    o.level = clamp(whole(table[3] + 0.5f), LEVELS - 1), o.row = whole(record[9]) * SEEN;
+    hemi_octahedral(o.local, a, b);
+    if (any(o.level < 5)) ask(g.all_seen, o.row + place(a, b, BITS).row * (BITS / 8));
+    if (any((o.level > 1) & (o.level < 7))) ask(g.all_seen, o.row + WIDE_FROM + place(a, b, WIDE_SIDE).row * WIDE_SIDE);
+    if (any(o.level > 5)) ask(g.all_seen, o.row + WIDEST_FROM);
 }
 
-// What a group sees of other points about the axis of a lobe, times the share that is hidden from the sky
+// What others send against the axis, 0 where they face away, times the share that is hidden from the sky
 // (ptt.ops.gloss._from_points)
-static inline void from_points(const Shine &g, int64_t v, const Look &at, const Lobe &lobe, Lanes hidden, Lanes *out) {
+static inline void take_from(const Shine &g, int64_t v, const Others &o, Lanes *out) {
     for (int c = 0; c < 3; ++c) out[c] = all(0);
-    if (!any(hidden > CLEAR)) return;
-    Lanes normal[3];
-    const Ints met = met_by(g, v, lobe, normal), there = (met >= 0) & (hidden > CLEAR), point = there ? met : Ints{};
-    if (any(there)) as_one_lobe(g, at, lobe, point, normal, out);
-    const Lanes spread = least(most((lobe.level - SPREAD) * (1.0f / (LEVELS - 1 - SPREAD)), all(0)), all(1));
+    const Ints facing = o.there & (o.cosine > 0);
+    if (any(facing)) {
+        Lanes sent[8], d[3], e[3], a, b;
+        for (int i = 0; i < 8; i += 4) gather_four(g.sent + i, o.point * SENT, sent + i);
+        hemi_octahedral(o.local, a, b);
+        const Lanes seen = visible(g.all_seen, o.row, a, b, real(o.level)), through = o.local[2] > 0 ? seen : all(0);
+        turned(o.axis, g.turn, d);
+        light_at(g.rest, g.map, d, o.level, e);
+        for (int c = 0; c < 3; ++c) e[c] = sent[3 + c] + through * (e[c] - sent[3 + c]);
+        lamps_in(g, o.axis, o.level, o.row / SEEN, e);
+        for (int c = 0; c < 3; ++c) out[c] = facing ? sent[c] + o.w[c] * e[c] : all(0);
+    }
+    const Lanes spread = least(most((o.lobe->level - SPREAD) * (1.0f / (LEVELS - 1 - SPREAD)), all(0)), all(1));
     for (int c = 0; c < 3; ++c) {
-        const Lanes sent = there ? out[c] : all(0);
-        out[c] = hidden > CLEAR ? hidden * (sent + spread * (load(g.mean + c * g.n + v) - sent)) : all(0);
+        const Lanes about = out[c] + spread * (load(g.mean + c * g.n + v) - out[c]);
+        out[c] = o.hidden > CLEAR ? o.hidden * about : all(0);
+    }
+}
+
+// What comes of other points in all lobes, in sums; some lobes at a time, so that what one waits for comes while others
+// are worked out.
+static inline void from_points(const Shine &g, int64_t v, const Look &at, Lanes *sums) {
+    Others others[TOGETHER];
+    for (int next = 0; next < g.lobes;) {
+        int count = 0;
+        for (; next < g.lobes && count < TOGETHER; ++next) {
+            const Lanes hidden = 1.0f - at.lobes[next].seen;
+            if (!any(hidden > CLEAR)) continue;
+            Others &o = others[count++];
+            o.lobe = at.lobes + next, o.number = next, o.hidden = hidden;
+        }
+        for (int i = 0; i < count; ++i) find_others(g, v, others[i]);
+        for (int i = 0; i < count; ++i) face(g, at, others[i]);
+        for (int i = 0; i < count; ++i) {
+            Lanes e[3], w[4];
+            take_from(g, v, others[i], e);
+            const float *rows = at.rows[0] + COLUMNS * others[i].number + 4;
+            gather_four(rows, lane() * (int)(sizeof *at.rows / sizeof **at.rows), w);
+            for (int c = 0; c < 3; ++c) sums[c] += w[c] * e[c];
+        }
     }
 }
 
@@ -233,29 +290,22 @@ static inline void between(const float *p, int64_t step, float share, Eight &e) 
 }
 
 // What comes of lobes, in sums.
-static inline void reflect(const Shine &g, int64_t v, const Look &at, int64_t later, float (*sums)[CHANNELS]) {
+static inline void reflect(const Shine &g, int64_t v, const Look &at, float (*sums)[CHANNELS]) {
     const int64_t down = CHANNELS * g.map, up = down * g.map;
     alignas(64) int32_t first[MOST_CELLS][LANES];
     alignas(64) float share[MOST_CELLS][4][LANES];
     int lobes[MOST_CELLS], count = 0;
     Lanes others[3] = {};
     for (int k = 0; k < g.lobes; ++k) {
-        fetch(g, later, k, g.lobes + LANES);
         const Lobe &lobe = at.lobes[k];
-        const Lanes seen = visible(g.seen + v * SEEN, lane() * SEEN, lobe.a, lobe.b, lobe.level), right = seen * lobe.x;
-        if (g.meets) {
-            Lanes e[3], w[4];
-            from_points(g, v, at, lobe, 1.0f - seen, e);
-            gather_four(at.rows[0] + COLUMNS * k + 4, lane() * (int)(sizeof *at.rows / sizeof **at.rows), w);
-            for (int c = 0; c < 3; ++c) others[c] += w[c] * e[c];
-        }
-        if (!any(seen > 0)) continue;
-        const Lanes shares[4] = {seen - right, right, lobe.y, lobe.next};
+        if (!any(lobe.seen > 0)) continue;
+        const Lanes right = lobe.seen * lobe.x;
+        const Lanes shares[4] = {lobe.seen - right, right, lobe.y, lobe.next};
         std::memcpy(first[count], &lobe.first, sizeof *first), std::memcpy(share[count], shares, sizeof *share);
         lobes[count++] = k;
     }
+    if (g.meets) from_points(g, v, at, others);
     for (int l = 0; l < LANES; ++l) {
-        fetch(g, later, g.lobes + l, g.lobes + LANES);
         Eight sum = {};  // of left corners, then of right ones
         for (int k = 0; k < count; ++k) {
             const float *p = g.maps + first[k][l], left = share[k][0][l], right = share[k][1][l];
@@ -311,11 +361,11 @@ static inline void lamp(const Shine &g, int64_t v, const Look &at, int64_t m, fl
     }
 }
 
-// The share of the material at a group, channel by channel; says whether there is any
-static inline bool shared(const Shine &g, int64_t v, Lanes *share) {
+// All that is done of a group before the light of the one before is summed, so that memory has time to answer.
+static inline void begin(const Shine &g, int64_t v, int64_t later, Look &at) {
     Ints some = {};
-    for (int c = 0; c < 3; ++c) share[c] = g.share ? load(g.share + c * g.n + v) : all(1), some |= share[c] != 0;
-    return any(some);
+    for (int c = 0; c < 3; ++c) at.material[c] = g.share ? load(g.share + c * g.n + v) : all(1), some |= at.material[c] != 0;
+    if ((at.some = any(some))) look(g, v, at), see(g, v, later, at);
 }
 
 extern "C" int32_t ptt_shine(const Shine *given) {
@@ -326,18 +376,18 @@ extern "C" int32_t ptt_shine(const Shine *given) {
     {
         const int64_t t = omp_get_thread_num(), of = omp_get_num_threads();
         const int64_t first = groups * t / of, end = groups * (t + 1) / of;
-        Look at;
+        Look looks[2];
+        if (first < end) begin(g, first * LANES, std::min(first + AHEAD, end - 1) * LANES, looks[first & 1]);
         for (int64_t i = first; i < end; ++i) {
-            const int64_t later = std::min(i + AHEAD, end - 1) * LANES;
+            const Look &at = looks[i & 1];
             alignas(64) float sums[LANES][CHANNELS] = {};
-            Lanes share[3];
-            if (shared(g, i * LANES, share)) {
-                look(g, i * LANES, at);
-                reflect(g, i * LANES, at, later, sums);
+            if (i + 1 < end) begin(g, (i + 1) * LANES, std::min(i + 1 + AHEAD, end - 1) * LANES, looks[(i + 1) & 1]);
+            if (at.some) {
+                reflect(g, i * LANES, at, sums);
                 for (int64_t m = 0; m < g.sources; ++m) lamp(g, i * LANES, at, m, sums);
             }
             for (int l = 0; l < LANES; ++l)
-                for (int c = 0; c < 3; ++c) g.line[3 * (i * LANES + l) + c] = share[c][l] * sums[l][c];
+                for (int c = 0; c < 3; ++c) g.line[3 * (i * LANES + l) + c] = at.material[c][l] * sums[l][c];
         }
 #pragma omp barrier
         for (int64_t p = g.points * t / of; p < g.points * (t + 1) / of; ++p)

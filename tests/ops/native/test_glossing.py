@@ -13,9 +13,10 @@ from ptt.materials.shapes import GGX, Analytic, Ward
 from ptt.ops import cells, native
 from ptt.ops import gloss as plain
 from ptt.ops.cells import Gloss, Lobes
-from ptt.ops.constants import LEVELS, MEETS, NORMAL, RECORD, RINGS, SECTORS, SENT, TILTS
+from ptt.ops.constants import LEVELS, MEETS, RECORD, RINGS, SECTORS, SENT, TILTS
 from ptt.ops.gloss import Around, GlossLight
 from ptt.ops.native.glossing import WORDS
+from ptt.ops.transfer import meets_packed
 from ptt.ops.view import SurfaceBlocks
 
 
@@ -84,8 +85,8 @@ def in_double(x: Inputs) -> Inputs:
 
 def surroundings(n: int, p: int, g: torch.Generator) -> Around:
     """Of noise, but for the rows of a region's table, which are alike, so that rounding chooses none of them."""
-    normals = torch.randint(-NORMAL, NORMAL + 1, (n, 2 * MEETS * MEETS), generator=g).to(torch.int8)
-    meets = torch.cat((torch.randint(-1, p, (n, MEETS * MEETS), generator=g).int(), normals.view(torch.int32)), 1)
+    normals = torch.randn(n, MEETS * MEETS, 3, generator=g)
+    meets = meets_packed(torch.randint(-1, p, (n, MEETS * MEETS), generator=g).int(), normals)
     numbers = torch.stack((torch.randint(7, (p,), generator=g), TILTS * torch.randint(3, (p,), generator=g)), 1)
     records = torch.cat((rotations(p, g).flatten(1), numbers.float(), torch.zeros(p, RECORD - 11)), 1)
     rows = torch.cat((directions(3, g), torch.tensor([[0.0], [4.0], [7.0]]), torch.rand(3, 4, generator=g)), 1)
