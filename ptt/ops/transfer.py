@@ -73,20 +73,20 @@ def meets(surface: Surface, faces: Tensor, shading: Tensor, points: Tensor, fram
     normal = (hits.barycentric[:, None].to(shading) @ corner_normals)[:, 0]
     own = (shading[met.clamp(min=0).long()] @ normal[..., None])[..., 0]
     own[:, 2].clamp_(min=TINY)
+    own[met < 0] = own.new_tensor([0.0, 0.0, 1.0])
     seen = len(points), len(local)
-    return meets_packed(met.reshape(seen), torch.where(met[:, None] >= 0, own, 0).reshape(*seen, 3))
+    return meets_packed(met.reshape(seen), own.reshape(*seen, 3))
 
 
 def meets_packed(met: Tensor, normals: Tensor) -> Tensor:
-    """Vertices (v, n) int32, -1 for none, and local normals (v, n, 3), 0 for none, as words (v, 3 n / 2) int32: of two
-    directions the vertices, and then the normals, in two signed bytes each.
+    """Vertices (v, n) int32, -1 for none, and normals (v, n, 3) in their frames, upright for none, as words
+    (v, 3 n / 2) int32: of two directions the vertices, and then the normals, in two signed bytes each.
 
     Bytes are 127ths of coordinates on the map of the hemisphere (`hemi_octahedral`), right to 0.6 degrees.
     """
     v, n = met.shape
-    length = normals.abs().sum(2, keepdim=True).clamp(min=TINY)
-    coordinates = (hemi_octahedral(normals / length + normals.new_tensor([0, 0, TINY])) * NORMAL).round()
-    words = coordinates.to(torch.int8).flatten().view(torch.int32).reshape(v, n // 2, 1)
+    coordinates = (hemi_octahedral(normals) * NORMAL).round().to(torch.int8)
+    words = coordinates.flatten().view(torch.int32).reshape(v, n // 2, 1)
     return torch.cat((met.reshape(v, n // 2, 2), words), 2).reshape(v, n // 2 * 3)
 
 

@@ -40,9 +40,7 @@ from ptt.relight.operations import operations
 
 WIDTHS = (0.0, *(width(level) for level in range(1, LEVELS)))
 """Degrees that lobes cover, by their levels; the first is as narrow as the maps are."""
-MOST_GLOSSES = (
-    32  # tables of lobes that are kept: textured metals have 26, and a change of colour leaves them as they are
-)
+MOST_GLOSSES = 32  # tables of lobes that are kept: a textured metal has 26, which changes of colour leave as they are
 OPEN = 0.02  # of the hemisphere: what a point sees of surfaces counts as at least as much where their mean is taken
 
 

@@ -4,16 +4,18 @@
 //             + sum over m of  f[c](d_m, wo) cos(d_m) V_vm P_m[c]
 //
 // Points go LANES at a time, one in each lane of a vector; light and f, which each point reads in places of its own,
-// are summed point by point. `look` mixes the rows of the table and finds where the lobes of a group lie, `reflect` and
-// `lamp` sum. Indices are clamped, so that no input reads out of bounds.
+// are summed point by point. `look` mixes the rows of the table and finds where the lobes of a group lie, `see` how
+// much of the sky they see; `reflect` and `lamp` sum, of one group while memory answers for the next. Indices are
+// clamped, so that no input reads out of bounds.
 
 #include "lanes.h"
 
 constexpr float CLEAR = 1.0f / 512;  // a lobe of which less is hidden meets nothing: half of what a byte resolves
-constexpr int AHEAD = 2;    // groups, of which what is seen is fetched
+constexpr int AHEAD = 2;     // groups, of which what is seen is fetched
 constexpr int TOGETHER = 8;  // lobes of which other points are found
-constexpr int COLUMNS = 7;  // of a lobe: along, across, mirror, level, and w of each channel
-constexpr int WIDE_FROM = BITS * BITS / 8, WIDEST_FROM = WIDE_FROM + WIDE_SIDE * WIDE_SIDE;  // bytes of what a point sees
+constexpr int COLUMNS = 7;   // of a lobe: along, across, mirror, level, and w of each channel
+constexpr int WIDE_FROM = BITS * BITS / 8;  // bytes of what a point sees
+constexpr int WIDEST_FROM = WIDE_FROM + WIDE_SIDE * WIDE_SIDE;
 constexpr int MET = MEETS * MEETS * 3 / 2;  // words of which points a point sees, and with which normals
 constexpr int SEEN = WIDEST_FROM + WIDEST_SIDE * WIDEST_SIDE;
 constexpr int RING = 3 * SECTORS, ROW = RINGS * RING;  // numbers of f
@@ -227,11 +229,12 @@ static inline void face(const Shine &g, const Look &at, Others &o) {
     for (int c = 0; c < 3; ++c) o.local[c] = of_flat * flat[c] + of_normal * o.normal[c], o.w[c] = table[4 + c];
     for (int c = 0; c < 3; ++c)
         o.axis[c] = o.local[0] * record[c] + o.local[1] * record[3 + c] + o.local[2] * record[6 + c];
-    o.level = clamp(whole(table[3] + 0.5f), LEVELS - 1), o.row = whole(record[9]) * SEEN;
+    o.level = clamp(whole(table[3] + 0.5f), LEVELS - 1), o.row = whole(record[9]);
+    const Ints first = o.row * SEEN;
     hemi_octahedral(o.local, a, b);
-    if (any(o.level < 5)) ask(g.all_seen, o.row + place(a, b, BITS).row * (BITS / 8));
-    if (any((o.level > 1) & (o.level < 7))) ask(g.all_seen, o.row + WIDE_FROM + place(a, b, WIDE_SIDE).row * WIDE_SIDE);
-    if (any(o.level > 5)) ask(g.all_seen, o.row + WIDEST_FROM);
+    if (any(o.level < 5)) ask(g.all_seen, first + place(a, b, BITS).row * (BITS / 8));
+    if (any((o.level > 1) & (o.level < 7))) ask(g.all_seen, first + WIDE_FROM + place(a, b, WIDE_SIDE).row * WIDE_SIDE);
+    if (any(o.level > 5)) ask(g.all_seen, first + WIDEST_FROM);
 }
 
 // What others send against the axis, 0 where they face away, times the share that is hidden from the sky
@@ -243,11 +246,12 @@ static inline void take_from(const Shine &g, int64_t v, const Others &o, Lanes *
         Lanes sent[8], d[3], e[3], a, b;
         for (int i = 0; i < 8; i += 4) gather_four(g.sent + i, o.point * SENT, sent + i);
         hemi_octahedral(o.local, a, b);
-        const Lanes seen = visible(g.all_seen, o.row, a, b, real(o.level)), through = o.local[2] > 0 ? seen : all(0);
+        const Lanes seen = visible(g.all_seen, o.row * SEEN, a, b, real(o.level));
+        const Lanes through = o.local[2] > 0 ? seen : all(0);
         turned(o.axis, g.turn, d);
         light_at(g.rest, g.map, d, o.level, e);
         for (int c = 0; c < 3; ++c) e[c] = sent[3 + c] + through * (e[c] - sent[3 + c]);
-        lamps_in(g, o.axis, o.level, o.row / SEEN, e);
+        lamps_in(g, o.axis, o.level, o.row, e);
         for (int c = 0; c < 3; ++c) out[c] = facing ? sent[c] + o.w[c] * e[c] : all(0);
     }
     const Lanes spread = least(most((o.lobe->level - SPREAD) * (1.0f / (LEVELS - 1 - SPREAD)), all(0)), all(1));
@@ -364,8 +368,12 @@ static inline void lamp(const Shine &g, int64_t v, const Look &at, int64_t m, fl
 // All that is done of a group before the light of the one before is summed, so that memory has time to answer.
 static inline void begin(const Shine &g, int64_t v, int64_t later, Look &at) {
     Ints some = {};
-    for (int c = 0; c < 3; ++c) at.material[c] = g.share ? load(g.share + c * g.n + v) : all(1), some |= at.material[c] != 0;
-    if ((at.some = any(some))) look(g, v, at), see(g, v, later, at);
+    for (int c = 0; c < 3; ++c) {
+        at.material[c] = g.share ? load(g.share + c * g.n + v) : all(1);
+        some |= at.material[c] != 0;
+    }
+    at.some = any(some);
+    if (at.some) look(g, v, at), see(g, v, later, at);
 }
 
 extern "C" int32_t ptt_shine(const Shine *given) {
