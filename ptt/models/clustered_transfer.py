@@ -22,7 +22,7 @@ from ptt.models.indirect import ORDER
 from ptt.ops.compiling import in_python
 from ptt.ops.memory import in_large_pages
 from ptt.ops.octahedral import Octahedral, tiles
-from ptt.ops.transfer import met
+from ptt.ops.transfer import vertices_met
 from ptt.ops.tucker import Tucker, multiply
 
 WIDTH = 128  # points in a block
@@ -251,7 +251,7 @@ class ClusteredTransfer(nn.Module):
             "meets": points + 1,
         }
         numbers = {name: torch.tensor(config[name]) for name in ("slots", "pairs")}
-        numbers["meets"] = met(tensors["meets"]) + 1  # -1 is for none
+        numbers["meets"] = vertices_met(tensors["meets"]) + 1  # -1 is for none
         for name, limit in limits.items():
             index = {**tensors, **numbers}[name]
             if index.numel() and not 0 <= int(index.min()) <= int(index.max()) < limit:

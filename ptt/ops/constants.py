@@ -44,6 +44,9 @@ WIDEST_SIDE = 8
 MEETS = 24
 """Cells along the edge of the map of which points a point sees."""
 
+MET = MEETS * MEETS * 3 // 2
+"""Words of such a map: of each two cells the points, and then the normals there."""
+
 NORMAL = 127
 """The number that stands for 1 in the signed bytes of a normal."""
 

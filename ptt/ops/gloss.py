@@ -54,9 +54,6 @@ lobes) under two maps without lamps, shares of 14 and 28 degrees left 4.9 and 4.
 and maps of 24 x 24 cells for 7, 14 and 28 degrees, of three times the size, 4.3 and 4.1.
 """
 
-MET = MEETS * MEETS * 3 // 2
-"""Words that say which points a point sees, and with which normals."""
-
 SHARPNESS = (3 / math.radians(NARROWEST)) ** 2
 """The inverse variance of a lobe of level 1, of which a level more is half."""
 

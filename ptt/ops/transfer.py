@@ -90,7 +90,7 @@ def meets_packed(met: Tensor, normals: Tensor) -> Tensor:
     return torch.cat((met.reshape(v, n // 2, 2), words), 2).reshape(v, n // 2 * 3)
 
 
-def met(packed: Tensor) -> Tensor:
+def vertices_met(packed: Tensor) -> Tensor:
     """The vertices (v, n) int32 in words (v, 3 n / 2) of `meets_packed`."""
     v, words = packed.shape
     return packed.reshape(v, words // 3, 3)[..., :2].reshape(v, words // 3 * 2)

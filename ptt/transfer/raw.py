@@ -81,7 +81,7 @@ class RawTransfer:
                 "meets": (torch.int32, (v, config["meets"])),
             }
             saved.check(tensors, {**expected, **Receivers.expected(config)})
-            for name, found in (("hits", tensors["hits"]), ("meets", transfer.met(tensors["meets"]))):
+            for name, found in (("hits", tensors["hits"]), ("meets", transfer.vertices_met(tensors["meets"]))):
                 if found.numel() and not -1 <= int(found.min()) <= int(found.max()) < v:
                     got = f"{int(found.min())}..{int(found.max())}"
                     raise ValueError(f"holds wrong {name}: must be in -1..{v - 1}, got {got}")

@@ -13,7 +13,7 @@ from torch.nn.functional import normalize
 
 from ptt.materials.shapes import GGX, Analytic, BlinnPhong, CookTorrance, Ward
 from ptt.ops import cells, gloss, transfer
-from ptt.ops.constants import BITS, LEVELS, MEETS, RECORD, SENT, TILTS
+from ptt.ops.constants import BITS, LEVELS, MEETS, MET, RECORD, SENT, TILTS
 from ptt.ops.octahedral import HemiOctahedral, Octahedral, bordered
 from ptt.ops.sphere import Cube
 from ptt.ops.view import SurfaceBlocks
@@ -205,7 +205,7 @@ def ceiling(sent: Tensor, table: Tensor, seen: Tensor) -> gloss.Around:
     record = torch.zeros(1, RECORD)
     record[0, :9] = torch.tensor([1.0, 0, 0, 0, -1, 0, 0, 0, -1])
     sky = light_of(lambda d: torch.where(d[:, 2] < 0, 2.0, 0.0))  # from below
-    meets = torch.zeros(16, gloss.MET, dtype=torch.int32)
+    meets = torch.zeros(16, MET, dtype=torch.int32)
     return gloss.Around(
         torch.zeros(3, 16), meets, record, sent[None], seen[:1], table.repeat(TILTS, 1), sky.maps, *no_lamps()
     )

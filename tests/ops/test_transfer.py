@@ -187,7 +187,7 @@ def test_what_is_met_is_the_nearest_vertex_and_the_normal_between_all() -> None:
     point = weights @ corners * torch.tensor([1.0, 1.0, 0.0])
     local = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], dtype=torch.float64)
     words = transfer.meets(scene.surface, scene.faces, scene.frames, point[None], torch.eye(3)[None], local)
-    assert words.shape == (1, 3) and transfer.met(words)[0].tolist() == [1, -1]
+    assert words.shape == (1, 3) and transfer.vertices_met(words)[0].tolist() == [1, -1]
     coordinates = words[:, 2:].view(torch.int8).float() / NORMAL
     own = torch.nn.functional.normalize(from_hemi_octahedral(coordinates[0, :2]), dim=0)
     between = torch.nn.functional.normalize(weights @ scene.frames[:, 2].float(), dim=0)

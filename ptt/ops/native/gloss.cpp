@@ -16,7 +16,6 @@ constexpr int TOGETHER = 8;  // lobes of which other points are found
 constexpr int COLUMNS = 7;   // of a lobe: along, across, mirror, level, and w of each channel
 constexpr int WIDE_FROM = BITS * BITS / 8;  // bytes of what a point sees
 constexpr int WIDEST_FROM = WIDE_FROM + WIDE_SIDE * WIDE_SIDE;
-constexpr int MET = MEETS * MEETS * 3 / 2;  // words of which points a point sees, and with which normals
 constexpr int SEEN = WIDEST_FROM + WIDEST_SIDE * WIDEST_SIDE;
 constexpr int RING = 3 * SECTORS, ROW = RINGS * RING;  // numbers of f
 
@@ -188,12 +187,12 @@ static inline void see(const Shine &g, int64_t v, int64_t later, Look &at) {
 }
 
 // What a group sees about the axis of a lobe of other points, step by step as memory gives it: which they are, where
-// they are there, and their normals, in their frames; what they reflect as one lobe, in their frames and in the world,
-// and the rows of what they see.
+// they are there, and their normals, in their frames; along which axis they reflect as one lobe, on maps of their
+// hemispheres, its height above their horizons, and in the world, and the rows of what they see.
 struct Others {
     const Lobe *lobe;
     int number;
-    Lanes hidden, normal[3], cosine, local[3], axis[3], w[3];
+    Lanes hidden, normal[3], cosine, a, b, height, axis[3], w[3];
     Ints there, point, level, row;
 };
 
@@ -211,7 +210,7 @@ static inline void find_others(const Shine &g, int64_t v, Others &o) {
 
 // (ptt.ops.gloss._as_one_lobe)
 static inline void face(const Shine &g, const Look &at, Others &o) {
-    Lanes record[12], wo[3], world[3], flat[3], table[8], square = all(0), a, b;
+    Lanes record[12], wo[3], world[3], flat[3], local[3], table[8], square = all(0);
     const Lanes *own = o.lobe->local;
     for (int i = 0; i < 12; i += 4) gather_four(g.records + i, o.point * RECORD, record + i);
     for (int c = 0; c < 3; ++c) world[c] = own[0] * at.frame[0][c] + own[1] * at.frame[1][c] + own[2] * at.frame[2][c];
@@ -226,14 +225,15 @@ static inline void face(const Shine &g, const Look &at, Others &o) {
     for (int c = 0; c < 3; ++c) flat[c] = wo[c] - o.cosine * o.normal[c], square += flat[c] * flat[c];
     const Lanes sine = root(most(square, all(HEAD_ON * HEAD_ON)));
     const Lanes of_flat = table[0] * o.cosine / sine - table[2], of_normal = table[0] * sine + table[2] * o.cosine;
-    for (int c = 0; c < 3; ++c) o.local[c] = of_flat * flat[c] + of_normal * o.normal[c], o.w[c] = table[4 + c];
+    for (int c = 0; c < 3; ++c) local[c] = of_flat * flat[c] + of_normal * o.normal[c], o.w[c] = table[4 + c];
     for (int c = 0; c < 3; ++c)
-        o.axis[c] = o.local[0] * record[c] + o.local[1] * record[3 + c] + o.local[2] * record[6 + c];
+        o.axis[c] = local[0] * record[c] + local[1] * record[3 + c] + local[2] * record[6 + c];
     o.level = clamp(whole(table[3] + 0.5f), LEVELS - 1), o.row = whole(record[9]);
     const Ints first = o.row * SEEN;
-    hemi_octahedral(o.local, a, b);
-    if (any(o.level < 5)) ask(g.all_seen, first + place(a, b, BITS).row * (BITS / 8));
-    if (any((o.level > 1) & (o.level < 7))) ask(g.all_seen, first + WIDE_FROM + place(a, b, WIDE_SIDE).row * WIDE_SIDE);
+    hemi_octahedral(local, o.a, o.b), o.height = local[2];
+    if (any(o.level < 5)) ask(g.all_seen, first + place(o.a, o.b, BITS).row * (BITS / 8));
+    if (any((o.level > 1) & (o.level < 7)))
+        ask(g.all_seen, first + WIDE_FROM + place(o.a, o.b, WIDE_SIDE).row * WIDE_SIDE);
     if (any(o.level > 5)) ask(g.all_seen, first + WIDEST_FROM);
 }
 
@@ -243,11 +243,10 @@ static inline void take_from(const Shine &g, int64_t v, const Others &o, Lanes *
     for (int c = 0; c < 3; ++c) out[c] = all(0);
     const Ints facing = o.there & (o.cosine > 0);
     if (any(facing)) {
-        Lanes sent[8], d[3], e[3], a, b;
+        Lanes sent[8], d[3], e[3];
         for (int i = 0; i < 8; i += 4) gather_four(g.sent + i, o.point * SENT, sent + i);
-        hemi_octahedral(o.local, a, b);
-        const Lanes seen = visible(g.all_seen, o.row * SEEN, a, b, real(o.level));
-        const Lanes through = o.local[2] > 0 ? seen : all(0);
+        const Lanes seen = visible(g.all_seen, o.row * SEEN, o.a, o.b, real(o.level));
+        const Lanes through = o.height > 0 ? seen : all(0);
         turned(o.axis, g.turn, d);
         light_at(g.rest, g.map, d, o.level, e);
         for (int c = 0; c < 3; ++c) e[c] = sent[3 + c] + through * (e[c] - sent[3 + c]);

@@ -16,6 +16,7 @@ from ptt.ops.constants import (
     CHANNELS,
     GROUP,
     LEVELS,
+    MET,
     MOST_CELLS,
     RECORD,
     RINGS,
@@ -128,7 +129,7 @@ def _of_around(g: _Shine, around: Around) -> Conditions:
     yield of_type(torch.int32, meets, seen), "what points see, and which points, must be int32"
     yield contiguous(*around), "what lies around must be contiguous"
     yield mean.shape == g.position.shape, "the mean of surfaces must be (3, n)"
-    yield meets.shape == (g.position.shape[1], plain.MET), f"meets must be (n, {plain.MET})"
+    yield meets.shape == (g.position.shape[1], MET), f"meets must be (n, {MET})"
     yield points.shape == (len(points), RECORD), f"points must be (p, {RECORD})"
     yield sent.shape == (len(points), SENT), f"what is sent must be (p, {SENT})"
     yield seen.shape == (len(seen), WORDS), f"what all see must be (s, {WORDS})"

@@ -17,9 +17,9 @@ from ptt.light.prefiltered import samples
 from ptt.materials.shapes import BlinnPhong
 from ptt.ops import haar, native, near, rotation, slices
 from ptt.ops.cells import Gloss, Lobes
-from ptt.ops.constants import LEVELS, RECORD, RINGS, SECTORS, SENT, TILTS
+from ptt.ops.constants import LEVELS, MET, RECORD, RINGS, SECTORS, SENT, TILTS
 from ptt.ops.geodesic import Geodesic
-from ptt.ops.gloss import MET, Around, GlossLight
+from ptt.ops.gloss import Around, GlossLight
 from ptt.ops.haar import Truncated
 from ptt.ops.native import building, kernels, operators
 from ptt.ops.native.glossing import WORDS
