@@ -28,7 +28,7 @@ def responses(brdf: TensorBRDF) -> Tensor:
     grid = Disk(brdf.u_i.shape[-1])
     z = harmonics.evaluate(grid.directions().reshape(-1, 3), ORDER) @ harmonics.hemispherical(ORDER).T
     weights = grid.projected_solid_angles().flatten()
-    specular = (z * weights[:, None]).T @ brdf.u_i.flatten(1).double().T
+    specular = (z * weights[:, None]).T @ brdf.u_i.flatten(1).double().cpu().T
     constant = torch.zeros(ORDER**2, 1, dtype=torch.float64)
     constant[0] = math.sqrt(math.pi)
     return torch.cat((constant, specular), 1).float()

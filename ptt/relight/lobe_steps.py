@@ -222,7 +222,8 @@ class LobeSteps(nn.Module):
             lambda: gloss_of(material.glossy, material.isotropic, self.count, self._operations.cell_sums),
         )
         lobes = made.lobes._replace(table=made.lobes.table.to(albedo))
-        return LobeLayer(albedo, made._replace(lobes=lobes, values=made.values.to(albedo)), share)
+        gloss = Gloss(lobes, made.values.to(albedo), made.whole.to(albedo), made.sharp)
+        return LobeLayer(albedo, gloss, share)
 
     @uncompiled
     def exitant(self, light: LobeLight, materials: Sequence[Material]) -> list[LobeRegion]:

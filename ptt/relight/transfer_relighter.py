@@ -55,7 +55,7 @@ class TransferRelighter(Relighter):
         if not 1 <= lobes <= MOST_CELLS:
             raise ValueError(f"lobes must be in 1..{MOST_CELLS}, got {lobes}")
         self.model = model
-        self.steps = _steps(model, compiled, lobes)
+        self.steps = _steps(model, compiled, lobes).to(model.positions.device)
         self._sources = list(model.modules())
         self._at_points = {name: Cache() for name in model.receivers.names}
 
