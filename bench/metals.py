@@ -44,7 +44,7 @@ PLASTICS = {
 TRADED = ("gold, roughness 0.3", "gold, roughness 0.5", "plastic, roughness 0.2")
 PARTS = ("furnace", "suzanne", "dragon", "engine")  # the first without a scene
 MAPS = ("uffizi.hdr", "grace.hdr", "interior.exr")
-FORMS = {"tensor": ("tensor", 16), "lobes, 16": ("lobes", 16), "lobes, 48": ("lobes", 48)}
+FORMS = {"tensor": ("tensor", None), "lobes": ("lobes", None), "lobes, 48": ("lobes", 48)}
 GRAZING = 0.34  # cosine of 70 degrees
 NEGATIVE = -1e-3  # of the mean
 
@@ -175,7 +175,7 @@ def _goals(key: str, form: str) -> dict[str, str]:
         return dict.fromkeys(("total", "direct", "indirect"), "")
     if key in PLASTICS:
         return {"total": "<= 0.03", "direct": "<= 0.03", "indirect": "<= 0.1"}
-    total = 0.08 if key.endswith("0.1") else 0.06 if form == "lobes, 16" else 0.04
+    total = 0.08 if key.endswith("0.1") else 0.06 if form == "lobes" else 0.04
     return {"total": f"<= {total}", "direct": "<= 0.04", "indirect": "<= 0.2"}
 
 

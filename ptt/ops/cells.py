@@ -31,6 +31,9 @@ MASS_STEPS = 2**20
 FIRST = 24  # rounds at the first
 COSINE = 1e-3  # f below the horizon is as at this cosine, so that it may be interpolated up to the horizon
 
+FEW, MANY = 16, 32  # lobes by default: of a material, and of a wide metal
+WIDE = 62.0  # degrees that it covers as one lobe, as GGX of roughness 0.35: 16 lobes of it are 20 degrees wide
+METAL = 0.2  # of the light from all around that it reflects
 SHARP = 2.5  # degrees, the radius of a lamp (`ptt.light.lamps.INNER`)
 
 Reflects = Callable[[Tensor, Tensor], Tensor]
@@ -194,13 +197,16 @@ def as_one_lobe(samples: Samples) -> Tensor:
 def _table(moments: Tensor, reflected: Tensor) -> Tensor:
     """Axes, levels and weights (r, n, 4 + c) of lobes, from first moments (r, n, 3) and sums (r, n, c)."""
     length = torch.linalg.vector_norm(moments, dim=2, keepdim=True)
-    total = reflected.sum(2, keepdim=True)
     up = moments.new_tensor([0.0, 0.0, 1.0])
     axes = torch.where(length > TINY, moments / length.clamp(min=TINY), up)
-    spread = (1 - length / total.clamp(min=TINY)).clamp(1e-9, 1 - 1e-3)
-    degrees = torch.rad2deg(3 * WIDENED * (-torch.log1p(-spread)).sqrt())
-    level = (1 + 2 * torch.log2(degrees / NARROWEST)).clamp(0, LEVELS - 1)
+    level = (1 + 2 * torch.log2(_degrees(length, reflected) / NARROWEST)).clamp(0, LEVELS - 1)
     return torch.cat((axes, level, reflected), 2)
+
+
+def _degrees(length: Tensor, reflected: Tensor) -> Tensor:
+    """Degrees (..., 1) that lobes cover, from the lengths of first moments (..., 1) and sums (..., c)."""
+    spread = (1 - length / reflected.sum(-1, keepdim=True).clamp(min=TINY)).clamp(1e-9, 1 - 1e-3)
+    return torch.rad2deg(3 * WIDENED * (-torch.log1p(-spread)).sqrt())
 
 
 def cell_sums(mirrored: Tensor, reflected: Tensor, n: int) -> Tensor:
@@ -269,12 +275,29 @@ class Gloss(NamedTuple):
     sharp: bool
 
 
-def gloss_of(reflects: Reflects, isotropic: bool, n: int, sums: CellSums = cell_sums) -> Gloss:
-    """The tables of a material, with n lobes; differentiable in f. sums: `cell_sums`, or its kernel."""
+def gloss_of(reflects: Reflects, isotropic: bool, n: int | None = None, sums: CellSums = cell_sums) -> Gloss:
+    """The tables of a material, with n lobes, None for `enough`; differentiable in f.
+
+    sums: `cell_sums`, or its kernel
+    """
     samples = sampled(reflects, isotropic)
     sectors = SECTORS if isotropic else 2 * SECTORS
     values = samples.values.unflatten(1, (RINGS, sectors))
-    return Gloss(lobes_of(samples, n, sums), (values + TINY).sqrt(), as_one_lobe(samples), _is_sharp(samples))
+    lobes = lobes_of(samples, n or enough(samples), sums)
+    return Gloss(lobes, (values + TINY).sqrt(), as_one_lobe(samples), _is_sharp(samples))
+
+
+def enough(samples: Samples) -> int:
+    """How many lobes a material has by default: `FEW`, `MANY` where it is a metal and wide, seen straight on.
+
+    A lobe sees light and what hides it apart from each other, as means over its width: of what a wide metal reflects
+    16 lobes are so wide that this shows. A plastic reflects too little for it to show.
+    """
+    reflected = beneath(samples.reflected).detach()[TILTS - 1]
+    length = torch.linalg.vector_norm(outside(nodes, 1).mirrored[TILTS - 1] @ reflected.sum(1, keepdim=True))
+    albedo = reflected.sum(0)
+    wide = bool(_degrees(length[None], albedo) > WIDE)
+    return MANY if wide and bool(albedo.max() > METAL) else FEW
 
 
 def _is_sharp(samples: Samples) -> bool:

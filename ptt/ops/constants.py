@@ -50,9 +50,9 @@ MET = MEETS * MEETS * 3 // 2
 NORMAL = 127
 """The number that stands for 1 in the signed bytes of a normal."""
 
-SPREAD = 5
-"""The width of lobes, 14 degrees, from which what they see of surfaces goes over to the mean of all that a point sees,
-which those of the last width see."""
+SPREAD = 9.5
+"""The level that a lobe as wide as all of a material together would have, 66 degrees, from which what they see of
+surfaces goes over to the mean of all that a point sees, within one level."""
 
 RECORD = 16
 """Numbers of a point as others see it: they fill a cache line, of which 11 are used."""

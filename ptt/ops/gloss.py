@@ -13,8 +13,9 @@ sphere of von Mises and Fisher:
 
     B[y, c] = D[y, c] + w[c] (V_y(a, s) E[c](a, s) + (1 - V_y(a, s)) S[y, c] + sum over m of  g(a, s, d_m) V_ym P_m[c])
 
-The wider a lobe of v is, the more it sees S[v, c] in place of one point. In a trial on a statue under uffizi, light
-that bounced to gold of roughness 0.7 erred by 17 % without that, by 8 with it; from 0.2 to 0.5 it changes little.
+The wider all lobes of v are together, the more each sees S[v, c] in place of one point. In a trial on a statue under
+uffizi, light that bounced to gold of roughness 0.5, 0.7 and 1 erred by 13, 16 and 17 % without that, with 32 lobes, by
+11, 7 and 6 with it; below 0.4 it changes nothing.
 
 Sun et al. 2007, section 4.1, has up to four lobes about common axes, of at most 21 degrees, and a tensor for the rest.
 """
@@ -102,6 +103,11 @@ class Around(NamedTuple):
     through: Tensor
 
 
+def alone(lobes: int) -> float:
+    """The level at which a lobe, of so many of a material, sees one point alone; from a level more on S alone."""
+    return min(SPREAD - math.log2(lobes), LEVELS - 2)
+
+
 def rows_of(wo: Tensor, turns: int) -> tuple[Tensor, Tensor]:
     """Rows (n, j) int64 of tables over `outgoing`, and their weights (n, j), at wo (n, 3)."""
     at = (wo[:, 2].abs() * (TILTS - 0.5) - 0.5).clamp(0, TILTS - 1)
@@ -175,7 +181,7 @@ def _shine(gloss: Gloss, light: GlossLight, frame: Tensor, seen: Tensor, wo: Ten
     about = blurred(light.maps, axes @ frame @ light.turn, level)
     about = about * through[..., None]
     if around is not None:
-        spread = ((level - SPREAD) / (LEVELS - 1 - SPREAD)).clamp(0, 1)[..., None]
+        spread = (level - alone(row.shape[1])).clamp(0, 1)[..., None]
         surfaces = torch.lerp(_from_points(around, frame, axes, light.turn), around.mean.T[:, None], spread)
         about = about + surfaces * (1 - through)[..., None]
     out: Tensor = (row[..., 4:] * about).sum(1)

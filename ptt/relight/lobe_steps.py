@@ -101,7 +101,7 @@ class LobeSteps(nn.Module):
     records: Tensor
     seen: Tensor
 
-    def __init__(self, model: TransferModel, compiled: bool, lobes: int) -> None:
+    def __init__(self, model: TransferModel, compiled: bool, lobes: int | None) -> None:
         super().__init__()
         assert model.basis is not None
         self.model = model

@@ -29,7 +29,7 @@ class TransferRelighter(Relighter):
     model: what `compress` made, or `TransferModel.load`
     compiled: by kernels in C++, built on first use; what points send out is then rounded to 16 bits, 3e-5 of the most
     lobes: of every material, 1..64, in a model whose highlights are lobes: with more the error is less, and a frame
-        takes longer
+        takes longer. None for 16, and 32 for metals that are wide (`ptt.ops.cells.enough`)
 
     Radiance is that of the vertices; `ptt.render` interpolates it. Differentiable in the map, in the weights of the
     materials and in the parameters of their shapes.
@@ -50,9 +50,9 @@ class TransferRelighter(Relighter):
         "lobes": ("maps", "light", "cells", "gloss"),
     }
 
-    def __init__(self, model: TransferModel, compiled: bool = True, lobes: int = 16) -> None:
+    def __init__(self, model: TransferModel, compiled: bool = True, lobes: int | None = None) -> None:
         super().__init__(compiled, self.sources_by_highlights[model.highlights])
-        if not 1 <= lobes <= MOST_CELLS:
+        if lobes is not None and not 1 <= lobes <= MOST_CELLS:
             raise ValueError(f"lobes must be in 1..{MOST_CELLS}, got {lobes}")
         self.model = model
         self.steps = _steps(model, compiled, lobes).to(model.positions.device)
@@ -105,7 +105,7 @@ class TransferRelighter(Relighter):
         return radiance
 
 
-def _steps(model: TransferModel, compiled: bool, lobes: int) -> Any:
+def _steps(model: TransferModel, compiled: bool, lobes: int | None) -> Any:
     if not len(model.regions):
         return PointSteps(model)
     return LobeSteps(model, compiled, lobes) if model.highlights == "lobes" else ClusterSteps(model, compiled)

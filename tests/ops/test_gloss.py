@@ -290,8 +290,9 @@ def test_a_ceiling_spreads_lamps_over_its_lobe(level: float) -> None:
     assert float(gloss.shine(blocks, wo, nothing, tables, dark, away)[0, 0]) < 0.02 * albedo
 
 
-def test_wide_lobes_see_the_mean_of_surfaces() -> None:
-    """With one lobe, that of roughness 1 sees the mean alone, and that of 0.1 the ceiling alone."""
+@pytest.mark.parametrize("n", [1, 16, 32])
+def test_wide_lobes_see_the_mean_of_surfaces(n: int) -> None:
+    """However many there are, those of roughness 1 see the mean alone, and those of 0.1 the ceiling alone."""
     blocks, nothing = points(16, lambda d: d[:, 2] > 2)
     dark = light_of(lambda d: torch.zeros(len(d)))
     up = torch.tensor([0.0, 0, 1, 0, 0, 0, 0, 0])
@@ -299,9 +300,16 @@ def test_wide_lobes_see_the_mean_of_surfaces() -> None:
     wo = tilted(20.0, 0.0, 16)
     for roughness, expected in ((1.0, 5.0), (0.1, 1.0)):
         shape = GGX(1.0, roughness)
-        got = gloss.shine(blocks, wo, nothing, cells.gloss_of(grey(shape), True, 1), dark, around)
+        got = gloss.shine(blocks, wo, nothing, cells.gloss_of(grey(shape), True, n), dark, around)
         albedo = dense(shape, wo[:, 0], lambda d: torch.ones(len(d)))
         assert float(got[0, 0]) == pytest.approx(expected * albedo, rel=0.02)
+
+
+def test_a_wide_metal_has_more_lobes_by_default() -> None:
+    """What reflects little, or to few directions, has 16."""
+    counts = [cells.gloss_of(grey(GGX(*shape)), True).lobes.table.shape[1] for shape in ((1.0, 0.3), (0.04, 0.7))]
+    wide = [cells.gloss_of(grey(GGX(*shape)), True).lobes.table.shape[1] for shape in ((1.0, 0.4), (0.6, 0.7))]
+    assert (counts, wide) == ([cells.FEW] * 2, [cells.MANY] * 2)
 
 
 def test_what_sees_the_sky_sees_no_ceiling() -> None:

@@ -178,7 +178,7 @@ static inline void see(const Shine &g, int64_t v, int64_t later, Look &at) {
         fetch(g, later, k, g.lobes);
         Lobe &lobe = at.lobes[k];
         lobe.seen = visible(g.seen + v * SEEN, lane() * SEEN, lobe.a, lobe.b, lobe.level);
-        if (!g.meets || !any(1.0f - lobe.seen > CLEAR)) continue;
+        if (!g.meets || !any((1.0f - lobe.seen > CLEAR) & (lobe.level < g.alone + 1))) continue;
         const Ints column = clamp(whole((lobe.a + 1.0f) * (0.5f * MEETS)), MEETS - 1);
         const Ints row = clamp(whole((lobe.b + 1.0f) * (0.5f * MEETS)), MEETS - 1);
         lobe.pair = lane() * MET + (row * MEETS + column) / 2 * 3, lobe.second = column & 1;
@@ -192,24 +192,28 @@ static inline void see(const Shine &g, int64_t v, int64_t later, Look &at) {
 struct Others {
     const Lobe *lobe;
     int number;
-    Lanes hidden, normal[3], cosine, a, b, height, axis[3], w[3];
+    Lanes hidden, spread, normal[3], cosine, a, b, height, axis[3], w[3];
     Ints there, point, level, row;
 };
 
 // (ptt.ops.gloss._normals)
 static inline void find_others(const Shine &g, int64_t v, Others &o) {
+    o.spread = least(most(o.lobe->level - g.alone, all(0)), all(1));
+    o.there = (o.hidden > CLEAR) & (o.spread < 1), o.cosine = all(0);
+    if (!any(o.there)) return;
     const float *from = (const float *)(g.meets + v * MET);
     const Ints pair = o.lobe->pair, second = o.lobe->second;
     const Ints met = (Ints)gather(from, pair + second), word = (Ints)gather(from + 2, pair) >> 16 * second;
     const Lanes a = real(word << 24 >> 24) * (0.5f / NORMAL), b = real(word << 16 >> 24) * (0.5f / NORMAL);
     const Lanes x = a + b, y = a - b, z = 1.0f - size(x) - size(y), scale = 1.0f / root(x * x + y * y + z * z);
     o.normal[0] = x * scale, o.normal[1] = y * scale, o.normal[2] = z * scale;
-    o.there = (met >= 0) & (o.hidden > CLEAR), o.point = o.there ? met : Ints{};
+    o.there &= met >= 0, o.point = o.there ? met : Ints{};
     ask(g.records, 4 * RECORD * o.point), ask(g.sent, 4 * SENT * o.point);
 }
 
 // (ptt.ops.gloss._as_one_lobe)
 static inline void face(const Shine &g, const Look &at, Others &o) {
+    if (!any(o.there)) return;
     Lanes record[12], wo[3], world[3], flat[3], local[3], table[8], square = all(0);
     const Lanes *own = o.lobe->local;
     for (int i = 0; i < 12; i += 4) gather_four(g.records + i, o.point * RECORD, record + i);
@@ -253,9 +257,8 @@ static inline void take_from(const Shine &g, int64_t v, const Others &o, Lanes *
         lamps_in(g, o.axis, o.level, o.row, e);
         for (int c = 0; c < 3; ++c) out[c] = facing ? sent[c] + o.w[c] * e[c] : all(0);
     }
-    const Lanes spread = least(most((o.lobe->level - SPREAD) * (1.0f / (LEVELS - 1 - SPREAD)), all(0)), all(1));
     for (int c = 0; c < 3; ++c) {
-        const Lanes about = out[c] + spread * (load(g.mean + c * g.n + v) - out[c]);
+        const Lanes about = out[c] + o.spread * (load(g.mean + c * g.n + v) - out[c]);
         out[c] = o.hidden > CLEAR ? o.hidden * about : all(0);
     }
 }

@@ -177,6 +177,7 @@ def _kernel(*arguments: Any) -> Tensor:
         sources=len(g.lamps),
         near_sources=0 if g.near is None else len(g.near),
         sharpness=plain.SHARPNESS,
+        alone=plain.alone(g.table.shape[1]),
         distant=g.eye.ndim == 2,
         lobes=g.table.shape[1],
         map=side(g.maps.shape[1]),

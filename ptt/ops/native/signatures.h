@@ -91,6 +91,7 @@ struct Shine {
     float *line, *out;           // scratch (n, 3), and (points, 3)
     int64_t n, points, sources, near_sources;  // sources: lamps
     float sharpness;                           // of a lobe of level 1
+    float alone;                               // level of lobes that see one point alone
     int32_t distant, lobes, map;  // map: the side of the grid, with the border
     int32_t threads;
 };
