@@ -16,9 +16,12 @@ Albedos are those of `ptt.ops.albedo`, for every parameter of the range and wo a
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
+
+SMALLEST = 1e-24  # squared length of wi + wo that has a direction
 
 
 def lambert(wi: Tensor, wo: Tensor) -> Tensor:
@@ -37,9 +40,9 @@ def blinn_phong(wi: Tensor, wo: Tensor, exponent: Tensor | float) -> Tensor:
     """
     n = torch.as_tensor(exponent, dtype=wi.dtype, device=wi.device)
     scale = (n + 2) * (n + 4) / (8 * math.pi * (n + torch.exp2(-n / 2)))
-    h = half_vector(wi, wo)
-    near = torch.log1p(-_sin2(h).clamp(max=0.5)) / 2
-    log_cos = torch.where(_sin2(h) < 0.5, near, h[..., 2].clamp(min=1e-30).log())
+    h = _half(wi, wo)
+    near = torch.log1p(-h.sin2.clamp(max=0.5)) / 2
+    log_cos = torch.where(h.sin2 < 0.5, near, h.z.clamp(min=1e-30).log())
     return scale * torch.exp(n * log_cos) * _above(wi, wo)
 
 
@@ -58,13 +61,13 @@ def cook_torrance(wi: Tensor, wo: Tensor, f0: Tensor | float, m: Tensor | float)
     Cook and Torrance 1981; Ngan, Durand and Matusik 2005.
     """
     f0, m = (torch.as_tensor(p, dtype=wi.dtype, device=wi.device) for p in (f0, m))
-    h = half_vector(wi, wo)
-    nh = h[..., 2].clamp(min=1e-6)
+    h = _half(wi, wo)
+    nh = h.z.clamp(min=1e-6)
     nl = wi[..., 2].clamp(min=0)
     nv = wo[..., 2].clamp(min=0)
-    vh = _cos_half_angle(wi, wo).clamp(min=1e-6)
-    d = torch.exp(-_sin2(h) / nh**2 * m**-2) * m**-2 / nh**4
-    f = f0 + (1 - f0) * (1 - vh).clamp(min=0) ** 5
+    vh = h.cos.clamp(min=1e-6)
+    d = torch.exp(-h.sin2 / nh**2 * m**-2) * m**-2 / nh**4
+    f = _schlick(f0, vh)
     grazing = 2 * nh / (vh * torch.maximum(nl, nv).clamp(min=1e-6))  # G / (n.l n.v) where a groove blocks
     g = torch.minimum(1 / (nl * nv).clamp(min=1e-24), grazing)
     return d * f * g * _above(wi, wo) / math.pi**2
@@ -81,10 +84,10 @@ def ward(wi: Tensor, wo: Tensor, ax: Tensor | float, ay: Tensor | float | None =
     """
     ax = torch.as_tensor(ax, dtype=wi.dtype, device=wi.device)
     ay = ax if ay is None else torch.as_tensor(ay, dtype=wi.dtype, device=wi.device)
-    h = half_vector(wi, wo)
-    hz = h[..., 2].abs().clamp(min=1e-6)
-    vh = _cos_half_angle(wi, wo).clamp(min=1e-6)
-    slope2 = ((h[..., 0] / ax) ** 2 + (h[..., 1] / ay) ** 2) / hz**2
+    h = _half(wi, wo)
+    hz = h.z.abs().clamp(min=1e-6)
+    vh = h.cos.clamp(min=1e-6)
+    slope2 = ((h.x / ax) ** 2 + (h.y / ay) ** 2) / hz**2
     return torch.exp(-slope2) / (vh * hz * hz) ** 2 / (4 * math.pi * ax * ay) * _above(wi, wo)
 
 
@@ -101,35 +104,51 @@ def ggx(wi: Tensor, wo: Tensor, f0: Tensor | float, roughness: Tensor | float) -
     Trowbridge and Reitz 1975; Walter et al. 2007; Heitz 2014; glTF 2.0, appendix B.
     """
     f0, roughness = (torch.as_tensor(p, dtype=wi.dtype, device=wi.device) for p in (f0, roughness))
-    h = half_vector(wi, wo)
+    h = _half(wi, wo)
     a = roughness**2
     a2 = a**2
     nl = wi[..., 2].clamp(min=1e-12)
     nv = wo[..., 2].clamp(min=1e-12)
-    hz = h[..., 2]
-    d = (1 / (a * hz**2 + _sin2(h) / a)) ** 2 / math.pi  # a^4 and its gradient would leave float32
+    d = (1 / (a * h.z**2 + h.sin2 / a)) ** 2 / math.pi  # a^4 and its gradient would leave float32
     masked = nl * (a2 + (1 - a2) * nv**2).sqrt() + nv * (a2 + (1 - a2) * nl**2).sqrt()
-    f = f0 + (1 - f0) * (1 - _cos_half_angle(wi, wo)).clamp(min=0) ** 5
     above = _above(wi, wo)
-    return d * f / (2 * masked + (1 - above)) * above  # never a small divisor where f is zero: its gradient overflows
+    # Never a small divisor where f is zero: its gradient overflows
+    return d * _schlick(f0, h.cos) / (2 * masked + (1 - above)) * above
 
 
 def half_vector(wi: Tensor, wo: Tensor) -> Tensor:
     """The unit vector between wi and wo (..., 3); the normal where they are opposite."""
-    h = wi + wo
-    length = h.norm(dim=-1, keepdim=True)
-    return torch.where(length > 1e-12, h / length.clamp(min=1e-12), h.new_tensor([0.0, 0.0, 1.0]))
+    h = _half(wi, wo)
+    return torch.stack((h.x, h.y, h.z), -1)
 
 
-def _cos_half_angle(wi: Tensor, wo: Tensor) -> Tensor:
-    """wi . h = wo . h, as |wi + wo| / 2: the same to the last bit when the directions change places."""
-    length: Tensor = (wi + wo).norm(dim=-1)
-    return length / 2
+class _Half(NamedTuple):
+    """The unit vector between two directions, coordinate by coordinate (...), which is faster than rows of three.
+
+    sin2: sin^2 of the angle to the normal, from x and y: 1 - z^2 would cancel for narrow lobes
+    cos: wi . h = wo . h, as |wi + wo| / 2: the same to the last bit when the directions change places
+    """
+
+    x: Tensor
+    y: Tensor
+    z: Tensor
+    sin2: Tensor
+    cos: Tensor
 
 
-def _sin2(h: Tensor) -> Tensor:
-    """sin^2 of the angle to the normal, from x and y: 1 - z^2 would cancel for narrow lobes."""
-    return h[..., 0] ** 2 + h[..., 1] ** 2
+def _half(wi: Tensor, wo: Tensor) -> _Half:
+    x, y, z = (wi + wo).unbind(-1)
+    square = x * x + y * y + z * z
+    length = square.clamp(min=SMALLEST).sqrt()
+    x, y, z = x / length, y / length, torch.where(square > SMALLEST, z / length, 1.0)
+    return _Half(x, y, z, x * x + y * y, length / 2)
+
+
+def _schlick(f0: Tensor, cos: Tensor) -> Tensor:
+    """Schlick's reflectance f0 + (1 - f0)(1 - v.h)^5."""
+    left = (1 - cos).clamp(min=0)
+    square = left * left
+    return f0 + (1 - f0) * (square * square * left)
 
 
 def _above(wi: Tensor, wo: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cache
+from functools import cache, reduce
 from typing import NamedTuple
 
 import torch
@@ -38,6 +38,10 @@ SHARP = 2.5  # degrees, the radius of a lamp (`ptt.light.lamps.INNER`)
 
 Reflects = Callable[[Tensor, Tensor], Tensor]
 """f(wi, wo) (..., c) [1/sr] of local unit directions (..., 3)."""
+
+
+CellSums = Callable[[Tensor, Tensor, int], Tensor]
+"""`cell_sums`, or its kernel."""
 
 
 class Lobes(NamedTuple):
@@ -177,30 +181,20 @@ def _both_halves(half: Tensor) -> Tensor:
     return whole.flatten(1, 3)
 
 
-CellSums = Callable[[Tensor, Tensor, int], Tensor]
-
-
-def lobes_of(samples: Samples, n: int, sums: CellSums) -> Lobes:
-    """n lobes of a material; differentiable in its samples; sums: `cell_sums`, or its kernel."""
-    found = sums(outside(nodes, 1).mirrored, samples.reflected, n)
-    return Lobes(_table(*found.split((3, found.shape[2] - 3), 2)), samples.turns)
-
-
-def as_one_lobe(samples: Samples) -> Tensor:
-    """All that a material reflects as one lobe (TILTS, SENT): a table as in `Lobes`, of the mean azimuth; a zero."""
-    mirrored = outside(nodes, 1).mirrored.repeat(samples.turns, 1, 1)
-    moments = (mirrored @ samples.reflected.sum(2, keepdim=True)).transpose(1, 2)
-    table = _table(moments, samples.reflected.sum(1, keepdim=True))[:, 0]
-    return pad(table.unflatten(0, (samples.turns, TILTS)).mean(0), (0, 1))
-
-
-def _table(moments: Tensor, reflected: Tensor) -> Tensor:
-    """Axes, levels and weights (r, n, 4 + c) of lobes, from first moments (r, n, 3) and sums (r, n, c)."""
+def _table(found: Tensor) -> Tensor:
+    """Axes, levels and weights (r, n, 4 + c) of lobes, from their first moments and sums (r, n, 3 + c)."""
+    moments, reflected = found.split((3, found.shape[2] - 3), 2)
     length = torch.linalg.vector_norm(moments, dim=2, keepdim=True)
     up = moments.new_tensor([0.0, 0.0, 1.0])
     axes = torch.where(length > TINY, moments / length.clamp(min=TINY), up)
     level = (1 + 2 * torch.log2(_degrees(length, reflected) / NARROWEST)).clamp(0, LEVELS - 1)
     return torch.cat((axes, level, reflected), 2)
+
+
+def _as_one_lobe(found: Tensor, turns: int) -> Tensor:
+    """All lobes as one (TILTS, SENT), of the mean azimuth: a table as in `Lobes`, and a zero."""
+    table = _table(found.sum(1, keepdim=True))[:, 0]
+    return pad(table.unflatten(0, (turns, TILTS)).mean(0), (0, 1))
 
 
 def _degrees(length: Tensor, reflected: Tensor) -> Tensor:
@@ -227,7 +221,7 @@ def cell_sums(mirrored: Tensor, reflected: Tensor, n: int) -> Tensor:
 def whole_numbers(mirrored: Tensor, reflected: Tensor) -> tuple[Tensor, Tensor]:
     """Directions (tilts, 3, m), and masses (rows, m) of what is reflected, as whole numbers, of which float32 holds
     products of directions and float64 all sums: in whatever order they are summed, cells are the same."""
-    mass = beneath(reflected).detach().sum(2)
+    mass = reduce(torch.add, beneath(reflected).detach().unbind(2))  # five times as fast as a sum over rows of three
     share = mass / mass.amax(1, keepdim=True).clamp(min=TINY)
     return (mirrored * STEPS).round(), (share * MASS_STEPS).round()
 
@@ -276,15 +270,13 @@ class Gloss(NamedTuple):
 
 
 def gloss_of(reflects: Reflects, isotropic: bool, n: int | None = None, sums: CellSums = cell_sums) -> Gloss:
-    """The tables of a material, with n lobes, None for `enough`; differentiable in f.
-
-    sums: `cell_sums`, or its kernel
-    """
+    """The tables of a material, with n lobes, None for `enough`; differentiable in f."""
     samples = sampled(reflects, isotropic)
     sectors = SECTORS if isotropic else 2 * SECTORS
     values = samples.values.unflatten(1, (RINGS, sectors))
-    lobes = lobes_of(samples, n or enough(samples), sums)
-    return Gloss(lobes, (values + TINY).sqrt(), as_one_lobe(samples), _is_sharp(samples))
+    found = sums(outside(nodes, 1).mirrored, samples.reflected, n or enough(samples))
+    lobes = Lobes(_table(found), samples.turns)
+    return Gloss(lobes, (values + TINY).sqrt(), _as_one_lobe(found, samples.turns), _is_sharp(samples))
 
 
 def enough(samples: Samples) -> int:

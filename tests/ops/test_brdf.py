@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from ptt.ops import brdf
 from ptt.ops.albedo import albedo
@@ -64,6 +65,17 @@ def test_reciprocal_non_negative_and_finite(name: str) -> None:
         value = SHAPES[name](wi, wo)
         assert value.isfinite().all() and (value >= 0).all() and (value > 0).any()
         assert torch.allclose(value, SHAPES[name](wo, wi), rtol=1e-9, atol=0)
+
+
+def test_opposite_directions_have_the_normal_between_them() -> None:
+    """With gradients that are finite; others the bisector, of unit length, from the nearest to opposite ones on."""
+    wi = normalize(torch.tensor([[0.3, 0.2, 0.9], [0.6, 0.0, 0.8], [1.0, 0.0, 1e-6]], dtype=torch.float64), dim=1)
+    wo = torch.stack((-wi[0], wi[1] * wi.new_tensor([-1, -1, 1]), wi[2] * wi.new_tensor([-1, -1, 1]))).requires_grad_()
+    h = brdf.half_vector(wi, wo)
+    assert torch.allclose(h, wi.new_tensor([0.0, 0.0, 1.0]).expand_as(h))
+    h.sum().backward()
+    assert wo.grad is not None and bool(wo.grad.isfinite().all())
+    assert torch.allclose(brdf.half_vector(wi, wi), wi)
 
 
 @pytest.mark.parametrize("name", [n for n in SHAPES if ":" not in n])

@@ -8,6 +8,8 @@
 
 typedef double FourDoubles __attribute__((vector_size(32)));
 
+constexpr int SETS = 4;  // of sums, taken in turn, since neighbours are mostly of one cell and would wait for each other
+
 // The nodes of a row: which of them reflect, and their directions, whole; directions times masses.
 struct Nodes {
     std::vector<int64_t> node;
@@ -51,9 +53,10 @@ static void assign(Nodes &nodes, const std::vector<Four> &centres) {
 static void improve(Nodes &nodes, float steps, std::vector<Four> &centres, std::vector<FourDoubles> &sums) {
     assign(nodes, centres);
     std::fill(sums.begin(), sums.end(), FourDoubles{});
-    for (int64_t i = 0; i < nodes.count; ++i) sums[nodes.cell[i]] += nodes.moment[i];
+    for (int64_t i = 0; i < nodes.count; ++i) sums[nodes.cell[i] * SETS + i % SETS] += nodes.moment[i];
     for (size_t k = 0; k < centres.size(); ++k) {
-        const FourDoubles s = sums[k];
+        FourDoubles s = {};
+        for (int set = 0; set < SETS; ++set) s += sums[k * SETS + set];
         const double length = std::sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2]);
         if (length > 0)
             for (int c = 0; c < 3; ++c) centres[k][c] = std::nearbyint(s[c] * (steps / length));
@@ -77,7 +80,7 @@ extern "C" int32_t ptt_cell_sums(const CellSums *g) {
     in_parallel(g->turns, g->threads, [=](int64_t turn) {
         Nodes nodes(g->nodes);
         std::vector<Four> centres(g->cells);
-        std::vector<FourDoubles> sums(g->cells);
+        std::vector<FourDoubles> sums(g->cells * SETS);
         for (int64_t k = 0; k < g->cells; ++k) {
             const float *p = g->centres + 3 * (turn * g->cells + k);
             centres[k] = Four{p[0], p[1], p[2]};
