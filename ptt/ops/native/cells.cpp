@@ -8,7 +8,7 @@
 
 typedef double FourDoubles __attribute__((vector_size(32)));
 
-constexpr int SETS = 4;  // of sums, taken in turn, since neighbours are mostly of one cell and would wait for each other
+constexpr int SETS = 4;  // of sums, taken in turn: neighbours are mostly of one cell, and would wait for each other
 
 // The nodes of a row: which of them reflect, and their directions, whole; directions times masses.
 struct Nodes {
