@@ -32,7 +32,7 @@ FIRST = 24  # rounds at the first
 COSINE = 1e-3  # f below the horizon is as at this cosine, so that it may be interpolated up to the horizon
 
 FEW, MANY = 16, 32  # lobes by default: of a material, and of a wide metal
-WIDE = 62.0  # degrees that it covers as one lobe, as GGX of roughness 0.35: 16 lobes of it are 20 degrees wide
+WIDE = 62.0  # degrees that it covers as one lobe, as GGX of roughness 0.39: 16 lobes of it are 20 degrees wide
 METAL = 0.2  # of the light from all around that it reflects
 SHARP = 2.5  # degrees, the radius of a lamp (`ptt.light.lamps.INNER`)
 

@@ -307,9 +307,8 @@ def test_wide_lobes_see_the_mean_of_surfaces(n: int) -> None:
 
 def test_a_wide_metal_has_more_lobes_by_default() -> None:
     """What reflects little, or to few directions, has 16."""
-    counts = [cells.gloss_of(grey(GGX(*shape)), True).lobes.table.shape[1] for shape in ((1.0, 0.3), (0.04, 0.7))]
-    wide = [cells.gloss_of(grey(GGX(*shape)), True).lobes.table.shape[1] for shape in ((1.0, 0.4), (0.6, 0.7))]
-    assert (counts, wide) == ([cells.FEW] * 2, [cells.MANY] * 2)
+    for f0, roughness, n in ((1.0, 0.3, 16), (0.04, 0.7, 16), (1.0, 0.4, 32), (0.6, 0.7, 32)):
+        assert cells.gloss_of(grey(GGX(f0, roughness)), True).lobes.table.shape[1] == n
 
 
 def test_what_sees_the_sky_sees_no_ceiling() -> None:

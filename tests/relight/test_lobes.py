@@ -83,7 +83,7 @@ def test_more_lobes_come_nearer(raw: ptt.RawTransfer, scene: ptt.Scene, model: p
     assert 0 < errors[1] < errors[0] * 2 / 3
 
 
-def test_a_wide_metal_comes_nearer_by_default(raw: ptt.RawTransfer, scene: ptt.Scene, model: ptt.TransferModel) -> None:
+def test_a_wide_metal_comes_nearer_by_default(scene: ptt.Scene, model: ptt.TransferModel) -> None:
     """Than with 16 lobes, of the same light; a narrow one has as many."""
     light = ptt.Environment(torch.rand(16, 32, 3, generator=torch.Generator().manual_seed(3)) ** 4)
     rows = facing(scene)
