@@ -33,6 +33,7 @@ from ptt.relight.triple_relighter import TripleProductRelighter
 from ptt.scene.bumps import BumpMap
 from ptt.scene.camera import Camera
 from ptt.scene.default import default_scene
+from ptt.scene.gaps import finer_in_gaps
 from ptt.scene.hidden import without_hidden
 from ptt.scene.mitsuba_scenes import from_mitsuba
 from ptt.scene.scene import Region, Scene
@@ -83,6 +84,7 @@ __all__ = [
     "compress",
     "cook_torrance",
     "default_scene",
+    "finer_in_gaps",
     "fitted",
     "from_mitsuba",
     "ggx",

@@ -55,7 +55,7 @@ def gather(surface: Surface, faces: Tensor, points: Tensor, frames: Tensor, loca
 
     Back faces show nothing.
     """
-    hits = _first_hits(surface, points, frames, local)
+    hits = first_hits(surface, points, frames, local)
     corner = (hits.barycentric.cumsum(1)[:, :2] < u.flatten()[:, None]).sum(1)
     return _corners(faces, hits, corner).reshape(u.shape)
 
@@ -67,7 +67,7 @@ def meets(surface: Surface, faces: Tensor, shading: Tensor, points: Tensor, fram
     surface, faces, points, frames: as for `gather`; back faces show nothing
     shading (p, 3, 3): frames of all vertices
     """
-    hits = _first_hits(surface, points, frames, local)
+    hits = first_hits(surface, points, frames, local)
     met = _corners(faces, hits, hits.barycentric.argmax(1))
     corner_normals = shading[faces[hits.triangle.clamp(min=0)], 2]  # shape: (v * n, 3, 3)
     normal = (hits.barycentric[:, None].to(shading) @ corner_normals)[:, 0]
@@ -96,7 +96,7 @@ def vertices_met(packed: Tensor) -> Tensor:
     return packed.reshape(v, words // 3, 3)[..., :2].reshape(v, words // 3 * 2)
 
 
-def _first_hits(surface: Surface, points: Tensor, frames: Tensor, local: Tensor) -> Hits:
+def first_hits(surface: Surface, points: Tensor, frames: Tensor, local: Tensor) -> Hits:
     """What points (v, ...) see in local directions (n, 3), v * n of them."""
     directions = (local.to(frames) @ frames).flatten(0, 1)
     return surface.first_hit(surface.offset(points, frames[:, 2]).repeat_interleave(len(local), 0), directions)

@@ -2,6 +2,8 @@
 
     environment = "hdri/uffizi.hdr"           # or { file = "probe.hdr", layout = "angular", layer = "sky" }
     hidden = false                            # drop triangles that see no way out, as those inside of a machine
+    gaps = 0.05                               # add vertices where surfaces almost touch, for light that bounces there
+                                              # (`ptt.finer_in_gaps`); default: none
     [camera]                                  # optional; as `Camera`
     eye = [0.3, 0.3, 0.9]
     target = [0, 0.1, 0]
@@ -47,6 +49,7 @@ from ptt.light.environment import Environment
 from ptt.ops import mesh, refine
 from ptt.ops.directions import turn
 from ptt.scene.camera import Camera
+from ptt.scene.gaps import finer_in_gaps
 from ptt.scene.hidden import without_hidden
 from ptt.scene.mesh_files import read_parts
 from ptt.scene.parts import Part, join, transformed
@@ -108,7 +111,7 @@ def _load_toml(path: Path) -> Scene:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"path must be a TOML file: {path}: {error}") from error
-    check_keys(path.name, table, ("environment", "hidden", "camera", "region"))
+    check_keys(path.name, table, ("environment", "hidden", "gaps", "camera", "region"))
     if not isinstance(table.get("region"), list):
         raise ValueError(f"{path.name} must hold at least one [[region]]")
     environment = None
@@ -119,7 +122,9 @@ def _load_toml(path: Path) -> Scene:
         camera = _call("camera", Camera, table["camera"])
     parts = [part for t in table["region"] for part in _regions(t, path)]
     scene = Scene.from_parts(parts, environment, camera)
-    return scene if value_of(table, "hidden", bool, True) else without_hidden(scene)
+    if not value_of(table, "hidden", bool, True):
+        scene = without_hidden(scene)
+    return finer_in_gaps(scene, float(table["gaps"])) if "gaps" in table else scene
 
 
 def _environment(given: Any, folder: Path) -> Environment:
