@@ -20,7 +20,7 @@ from ptt.materials.material import Material, blinn_phong, cook_torrance, ggx, la
 from ptt.materials.measured import MERL, NeuralBRDF
 from ptt.materials.shapes import GGX, Blend, BlinnPhong, CookTorrance, Named, Ward
 from ptt.materials.spaces import BRDFSpace, fitted
-from ptt.materials.tabulation import separate, tabulated
+from ptt.materials.tabulation import separate, separation_error, tabulated
 from ptt.materials.textures import Texture
 from ptt.materials.varying import MetalRough, Mixed
 from ptt.models.brdf_basis import BRDFBasis
@@ -96,6 +96,7 @@ __all__ = [
     "relative_rmse",
     "render",
     "separate",
+    "separation_error",
     "tabulated",
     "usual_highlights",
     "usual_ranks",

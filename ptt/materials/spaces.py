@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from ptt.materials import material as mat
 from ptt.materials import shapes
 from ptt.materials.families import Family, family_of
-from ptt.materials.material import Material
+from ptt.materials.material import Highlight, Material
 from ptt.materials.shapes import GGX, Analytic, Blend, BlinnPhong, CookTorrance, Named, Number, Shape, Ward, number
 from ptt.materials.varying import SurfaceMaterial
 
@@ -147,7 +147,7 @@ class BRDFSpace:
         `ptt.separate` makes a material of RGB data, `ptt.tabulated` a function of a table.
         """
         named = {name: _named_material(name, given) for name, given in brdfs.items()}
-        return cls(tuple(m.shape for m in named.values() if m.shape), named)
+        return cls(tuple(h.shape for material in named.values() for h in material.highlights), named)
 
     @property
     def isotropic(self) -> bool:
@@ -155,7 +155,7 @@ class BRDFSpace:
         return all(shape.isotropic for shape in self.samples)
 
     def with_brdf(self, name: str, brdf: BRDF | Material) -> BRDFSpace:
-        """The space with one more sample: a function f(wi, wo), or a material's shape, by name.
+        """The space with more samples: a function f(wi, wo), or the shapes of a material's highlights, by name.
 
         Raises:
             ValueError: the name is taken, the material has no shape, or the function returns values that no BRDF has.
@@ -163,8 +163,8 @@ class BRDFSpace:
         if name in self.materials:
             raise ValueError(f"name {name!r} is taken: the space has a material of that name")
         material = _named_material(name, brdf)
-        assert material.shape is not None
-        return replace(self, samples=(*self.samples, material.shape), materials={**self.materials, name: material})
+        samples = (*self.samples, *(highlight.shape for highlight in material.highlights))
+        return replace(self, samples=samples, materials={**self.materials, name: material})
 
     def material(self, name: str) -> Material:
         """The material of that name.
@@ -359,10 +359,15 @@ def _reaching(values: Sequence[float], wanted: Sequence[float], most: float = ma
 
 
 def _named_material(name: str, given: BRDF | Material) -> Material:
-    """A material whose shape has the given name, so that edits of its colours keep the shape."""
+    """A material whose shapes have the given name, and that and a number, so that edits of its colours keep them."""
     if not isinstance(given, Material):
         isotropic = shapes.looks_isotropic(Named(name, given))
         return Material(0.0, 1.0, Named(name, given, isotropic))
-    if given.shape is None:
+    if not given.highlights:
         raise ValueError(f"material {name!r} must have a shape")
-    return Material(given.diffuse, given.specular, Named(name, given.shape.evaluate, given.shape.isotropic))
+    names = [name, *(f"{name}/{k}" for k in range(2, len(given.highlights) + 1))]
+    highlights = [
+        Highlight(one.colour, Named(label, one.shape.evaluate, one.shape.isotropic))
+        for label, one in zip(names, given.highlights, strict=True)
+    ]
+    return Material(given.diffuse, 0.0, None, *highlights)

@@ -84,14 +84,15 @@ class BRDFBasis(nn.Module):
         return {"mixture": mixture, "table": table, "error": error}
 
     def with_brdf(self, name: str, brdf: BRDF | Material) -> BRDFBasis:
-        """The basis with one more sample, a function f(wi, wo) or a material's shape by name.
+        """The basis with more samples, a function f(wi, wo) or the shapes of a material's highlights, by name.
 
-        The functions stay, and so does what was precomputed with them; `error[-1]` says how well they suit the sample.
+        The functions stay, and so does what was precomputed with them; the last of `error` say how well they suit them.
         """
         space = self.space.with_brdf(name, brdf)
+        old = len(self.space.samples)
         features = _features(space.samples)
-        mixture = nn.functional.pad(self.mixture.double(), (0, 0, 0, 1))
-        mixture, table, error = _coefficients_of(features[-1:], features, mixture)
+        mixture = nn.functional.pad(self.mixture.double(), (0, 0, 0, len(features) - old))
+        mixture, table, error = _coefficients_of(features[old:], features, mixture)
         return BRDFBasis(space, mixture, torch.cat((self.table, table)), torch.cat((self.error, error)))
 
     def coefficients(self, material: Material) -> Tensor:

@@ -125,29 +125,32 @@ class TensorBRDF(nn.Module):
         return sum(buffer.numel() * buffer.element_size() for buffer in self.buffers())
 
     def with_brdf(self, name: str, brdf: BRDF | Material) -> TensorBRDF:
-        """One more sample in the space, a function f(wi, wo) or a material's shape, by name.
+        """More samples in the space, a function f(wi, wo) or the shapes of a material's highlights, by name.
 
         The outgoing and incident factors stay, so transfer that was compressed with them does too; the core gains a
-        slice, the best there is for these factors. Look at `error[-1]`: factors of smooth shapes show no sharp one.
+        slice for each, the best there is for these factors. Look at the last of `error`: factors of smooth shapes show
+        no sharp one.
         """
         space = self.space.with_brdf(name, brdf)
-        sampled = Remainders(space.samples[-1:], self.angles, self.u_i.shape[-1])
+        new = space.samples[len(self.space.samples) :]
+        sampled = Remainders(new, self.angles, self.u_i.shape[-1])
         _, u_o, u_i = self._tucker().factors
-        values = sampled[0].to(self.core)
-        matrix = u_o.T @ values @ u_i
-        missed = (values - u_o @ matrix @ u_i.T).norm()
+        values = torch.stack([sampled[k] for k in range(len(new))]).to(self.core)
+        norms = [sampled.norms[k] for k in range(len(new))]
+        slices = u_o.T @ values @ u_i
+        missed = (values - u_o @ slices @ u_i.T).flatten(1).norm(dim=1)
         polar = lobes.tilts_and_turns(space.isotropic).to(self.peaks)
         axes = lobes.lookup(self.axes.flatten(0, 1)[:, None], polar[0]).unflatten(0, self.axes.shape[:2])
-        functions = [space.samples[-1].evaluate]
+        functions = [sample.evaluate for sample in new]
         peaks, _ = separation.tables(functions, space.isotropic, self.angles, axes)
         parts = {
-            "core": torch.cat((self.core, matrix[None])),
-            "u_h": torch.block_diag(self.u_h, self.u_h.new_tensor([[sampled.norms[0]]])),
+            "core": torch.cat((self.core, slices)),
+            "u_h": torch.block_diag(self.u_h, torch.diag(self.u_h.new_tensor(norms))),
             "u_o": self.u_o,
             "u_i": self.u_i,
             "peaks": torch.cat((torch.stack([lobes.lookup(table, polar) for table in self.peaks]), peaks)),
             "axes": axes,
-            "error": torch.cat((self.error, missed[None])),
+            "error": torch.cat((self.error, missed)),
         }
         return TensorBRDF(space, **parts)
 

@@ -121,7 +121,8 @@ def _erring(
 def _longest_edges(scene: Scene) -> Tensor:
     """The length (f,) of the longest edge of each triangle."""
     corners = scene.vertices[scene.faces]
-    return (corners - corners.roll(1, 1)).norm(dim=2).amax(1)
+    lengths: Tensor = torch.linalg.vector_norm(corners - corners.roll(1, 1), dim=2).amax(1)
+    return lengths
 
 
 def _largest_of_each(values: Tensor, groups: Tensor) -> Tensor:
@@ -146,7 +147,7 @@ def _with_vertices(scene: Scene, triangle: Tensor, barycentric: Tensor) -> Scene
     for name in ("vertices", "uv", "tints"):
         if (values := getattr(scene, name)) is not None:
             new[name] = scene.interpolated(values, triangle, inside)
-    added = {name: torch.cat((getattr(scene, name), values)) for name, values in new.items()}
+    added: dict[str, Any] = {name: torch.cat((getattr(scene, name), values)) for name, values in new.items()}
 
     def extended(given: Tensor) -> Tensor:
         return torch.cat((given, scene.interpolated(given, triangle, inside)))

@@ -291,6 +291,15 @@ def test_with_brdf_keeps_what_was_there() -> None:
         space.with_brdf("mine", matt)
 
 
+def test_all_highlights_of_a_material_join_a_space() -> None:
+    gold = ptt.ggx(0.0, 1.0, (1.0, 0.8, 0.3), 0.5)
+    for space in (BRDFSpace.user({"gold": gold}), FITTED.with_brdf("gold", gold)):
+        assert [shape.name for shape in space.samples[-2:]] == ["gold", "gold/2"]  # type: ignore[union-attr]
+        assert torch.equal(space.material("gold").evaluate(WI, WO), gold.evaluate(WI, WO))
+        weights = space.coloured(space.material("gold"))[-2:]
+        assert torch.equal(weights, torch.stack([h.colour.double() for h in gold.highlights]))
+
+
 def test_a_blends_coordinates_are_the_weighted_sum() -> None:
     """Of names, of parameters, of blends; they sum to the weights' sum, and gradients reach weights and parameters."""
     space = SPACES["more"]

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 import ptt
+from ptt.materials.material import Highlight
 from ptt.ops.albedo import albedo
 from ptt.ops.sphere import Disk
 
@@ -104,15 +105,53 @@ def test_separate_recovers_colours_and_shape() -> None:
     assert turned is not None and not turned.isotropic
 
 
+RED, GREEN, BLUE = torch.eye(3).double()
+
+
+def of_colours(*parts: tuple[Tensor, float]) -> Callable[[Tensor, Tensor], Tensor]:
+    """Blinn-Phong lobes of some colours (3,) and exponents, over a diffuse part."""
+    return ptt.Material(KD, 0.0, None, *(Highlight(colour, ptt.BlinnPhong(n)) for colour, n in parts)).evaluate
+
+
 def test_separate_takes_the_colour_of_the_largest_part() -> None:
-    """Two lobes of disjoint colours: the brighter one in L2 decides, the other is lost."""
-    red = torch.tensor([1.0, 0, 0]).double()
-    blue = torch.tensor([0, 0, 1.0]).double()
-    weak = ptt.BlinnPhong(200.0), ptt.BlinnPhong(400.0)
-    got = ptt.separate("two", lambda i, o: weak[0].evaluate(i, o)[..., None] * red * 0.05
-                       + weak[1].evaluate(i, o)[..., None] * blue)  # fmt: skip
-    assert float(got.specular[2]) > 100 * float(got.specular[1])
-    assert float(got.specular[2]) == pytest.approx(float(albedo(weak[1].evaluate, UP)), rel=0.1)
+    """Two lobes of disjoint colours, and an error that allows for one: the brighter decides."""
+    f = of_colours((RED * 0.2, 20.0), (BLUE, 400.0))
+    got = ptt.separate("two", f, error=0.2)
+    assert len(got.highlights) == 1 and 0 < float(got.specular[0]) < 0.1 * float(got.specular[2])
+    assert float(got.specular[2]) == pytest.approx(float(albedo(ptt.BlinnPhong(400.0).evaluate, UP)), rel=0.1)
+    assert 0.05 < ptt.separation_error(got, f) < 0.2
+
+
+@pytest.mark.parametrize("parts", [
+    ((RED + 0.1 * BLUE, 60.0), (0.5 * BLUE + 0.2 * GREEN, 400.0)),
+    ((0.3 * RED + 0.3, 8.0), (torch.ones(3).double(), 1000.0)),
+    ((RED, 30.0), (GREEN, 100.0), (BLUE, 400.0)),
+], ids=["of two hues", "tinted gloss, white highlight", "of three hues"])  # fmt: skip
+def test_separate_takes_as_many_colours_as_the_error_asks_for(parts: tuple[tuple[Tensor, float], ...]) -> None:
+    """Shapes of a few colours come back with an error of 2 % where one colour leaves 10 and more."""
+    f = of_colours(*parts)
+    found = {count: ptt.separate("mine", f, error=error) for error, count in ((10.0, 1), (0.02, len(parts)))}
+    for count, got in found.items():
+        assert [h.shape.name for h in got.highlights] == ["mine", "mine/2", "mine/3"][:count]  # type: ignore[union-attr]
+        for highlight in got.highlights:
+            out = torch.tensor([[0.0, 0.0, 1.0], [0.5, 0.0, 0.75**0.5], [0.75**0.5, 0.0, 0.5]]).double()
+            assert float(albedo(highlight.shape.evaluate, out).max()) == pytest.approx(1, rel=1e-6)
+    errors = {count: ptt.separation_error(got, f) for count, got in found.items()}
+    assert errors[1] > 0.1 and errors[len(parts)] < 0.02
+    wi, wo = cosine_directions(20_000, 4), cosine_directions(20_000, 5)
+    exact = f(wi, wo)
+    assert float((found[len(parts)].evaluate(wi, wo) - exact).abs().sum() / exact.sum()) < 0.03
+
+
+def test_the_error_is_misplaced_light_over_all_light() -> None:
+    f = ptt.lambert((0.2, 0.1, 0.3)).evaluate
+    assert ptt.separation_error(ptt.lambert((0.2, 0.1, 0.3)), f) == pytest.approx(0, abs=1e-6)
+    assert ptt.separation_error(ptt.lambert((0.1, 0.2, 0.3)), f) == pytest.approx(0.2 / 0.6, rel=1e-5)
+    moved = ptt.Material(0.0, 0.3, ptt.BlinnPhong(100.0)), ptt.Material(0.0, 0.3, ptt.BlinnPhong(1.0))
+    assert ptt.separation_error(moved[0], moved[1].evaluate) > 1
+    brushed = ptt.ward(0.0, 0.3, 0.1, 0.4)
+    turned = ptt.ward(0.0, 0.3, 0.4, 0.1)
+    assert ptt.separation_error(brushed, turned.evaluate, isotropic=False) > 0.5
 
 
 def rough(wi: Tensor, wo: Tensor) -> Tensor:
@@ -139,14 +178,20 @@ def test_separate_refuses(f: Callable[[Tensor, Tensor], Tensor]) -> None:
         ptt.separate("bad", f)
 
 
-@pytest.mark.parametrize("name", ["gold-metallic-paint", "red-plastic", "chrome"])
+def test_a_negative_error_is_refused() -> None:
+    with pytest.raises(ValueError, match="error must be >= 0"):
+        ptt.separate("mine", ptt.lambert(KD).evaluate, error=-0.1)
+
+
+@pytest.mark.parametrize("name", ["gold-metallic-paint", "red-phenolic", "chrome-steel", "color-changing-paint1"])
 def test_measured_materials(data_dir: Path, name: str) -> None:
-    """Finite and >= 0; away from the highlight (half vectors from 30 degrees) the data's mean, within a fifth."""
+    """Within the error; finite and >= 0; away from the highlight (half vectors from 30 degrees) within a fifth."""
     path = data_dir / "brdf" / "merl_nbrdf.npz"
     if not path.is_file():
         pytest.skip(f"needs {path}")
     data = ptt.NeuralBRDF.load(path, name)
     got = ptt.separate(name, data.evaluate)
+    assert ptt.separation_error(got, data.evaluate) <= 0.05
     wi = cosine_directions(20_000, 6, 0.9)
     wo = cosine_directions(20_000, 7, 0.9)
     value = got.evaluate(wi, wo)

@@ -11,6 +11,7 @@ from torch import Tensor
 
 import ptt
 from ptt import BRDFSpace
+from ptt.materials.material import Highlight
 from ptt.materials.shapes import Shape
 from ptt.models import tensor_brdf
 from ptt.ops import brdf, lobes
@@ -155,6 +156,22 @@ def test_a_new_brdf_keeps_the_factors_and_the_others() -> None:
     wi = cosine_directions(100, 8)
     wo = cosine_directions(100, 9)
     assert torch.allclose(new.evaluate(space.samples[0], wi, wo), old.evaluate(space.samples[0], wi, wo), atol=1e-6)
+
+
+def test_a_new_material_of_two_highlights_is_the_two_one_after_the_other() -> None:
+    old = ptt.TensorBRDF.fit(BRDFSpace.blinn_phong((5.0, 20.0, 40.0)), (3, 12, 12), separated=4)
+    basis = ptt.BRDFBasis.fit(old.space, 3)
+    highlights = [Highlight(0.3, ptt.BlinnPhong(n)) for n in (8.0, 30.0)]
+    material = ptt.Material(0.1, 0.0, None, *highlights)
+    both, both_bases = old.with_brdf("mine", material), basis.with_brdf("mine", material)
+    wi, wo = cosine_directions(100, 8), cosine_directions(100, 9)
+    for row, highlight in enumerate(highlights, 3):
+        alone = ptt.Material(0.1, highlight.colour, highlight.shape)
+        one, one_basis = old.with_brdf("mine", alone), basis.with_brdf("mine", alone)
+        torch.testing.assert_close(both.error[row], one.error[3])
+        torch.testing.assert_close(both_bases.table[row], one_basis.table[3])
+        seen = both.evaluate(both.space.samples[row], wi, wo)
+        torch.testing.assert_close(seen, one.evaluate(one.space.samples[3], wi, wo))
 
 
 def test_an_anisotropic_brdf_joins_isotropic_ones() -> None:
