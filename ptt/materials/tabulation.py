@@ -19,6 +19,7 @@ NOISE = 1e-6  # share of the diffuse part: a shape whose albedo is no more is ro
 TEXELS = 20  # across the disk on which the diffuse part is found: finer ones take longer, as the fourth power
 ERROR = 0.05  # default, of separated colours
 UPDATES = 100  # of two colours
+LEAST = 1e-2  # of each channel, in the colours that updates begin with: they multiply
 QUADRATURE = (1e-4, 48, 24)  # of light that leaves in one direction (`albedo.nodes`)
 OUT = torch.tensor([[0.0, 0.0, 1.0], [0.5, 0.0, 0.75**0.5], [0.75**0.5, 0.0, 0.5]], dtype=torch.float64)
 
@@ -59,9 +60,8 @@ def separate(
 
     f ~ diffuse / pi + the sum of specular_k * shape_k: the diffuse part is the 2 % quantile of each colour over
     directions by projected solid angle. What is left is one colour times a shape where `separation_error` is at most
-    `error` then; else two, whose colours and shapes are the best that are not negative (Lee and Seung 1999), a part of
-    the light in proportion to its amount wherever it goes; else red, green and blue, which leave no error but below the
-    quantile. The largest albedo of a shape at 0, 30 and 60 degrees is 1, so that `specular` is an albedo too. Shapes
+    `error` then; else two, the best whose colours and shapes are not negative (Lee and Seung 1999), directions weighing
+    as the light that goes there; else red, green and blue, which leave no error but below the quantile. The largest albedo of a shape at 0, 30 and 60 degrees is 1, so that `specular` is an albedo too. Shapes
     after the first are called "name/2" and "name/3".
 
     Raises:
@@ -104,14 +104,15 @@ def _highlights(
     def part(k: int, scale: float) -> Callable[[Tensor, Tensor], Tensor]:
         def shape(wi: Tensor, wo: Tensor) -> Tensor:
             rest = (brdf(wi, wo) - level.to(wi)).clamp(min=0)
-            return _parts(rest, colours.to(wi))[..., k] * scale
+            value: Tensor = _parts(rest, colours.to(wi))[..., k] * scale
+            return value
 
         return shape
 
-    found = []
+    found: list[Highlight] = []
     for k, colour in enumerate(colours):
         size = float(albedo(part(k, 1.0), OUT).max())
-        if size > 0:
+        if size > NOISE * math.pi * float(level.max()):
             label = f"{name}/{len(found) + 1}" if found else name
             found.append(Highlight((colour * size).float(), Named(label, part(k, 1 / size), isotropic)))
     return found
@@ -122,16 +123,14 @@ def _colours(rest: Tensor, weights: Tensor, terms: int) -> Tensor:
     if terms == 3:
         return torch.eye(3).to(rest)
     scaled = rest * (weights / rest.norm(dim=1).clamp(min=TINY)).sqrt()[:, None]
-    values, vectors = torch.linalg.eigh(scaled.T @ scaled)
+    vectors = torch.linalg.eigh(scaled.T @ scaled).eigenvectors
     first, second = vectors[:, -1].abs(), vectors[:, -2]
     if terms == 1:
         return first[None]
-    spread = first.min() if values[-2] > 0 else first.new_zeros(())
-    colours = torch.stack((first + spread * second, first - spread * second)).clamp(min=TINY)
+    colours = unit(torch.stack((first + second, first - second)).clamp(min=LEAST))
     for _ in range(UPDATES):
         parts = _parts(scaled, colours)
-        colours = colours * (parts.T @ scaled) / (parts.T @ parts @ colours).clamp(min=TINY)
-        colours = colours / colours.norm(dim=1, keepdim=True).clamp(min=TINY)
+        colours = unit(colours * (parts.T @ scaled) / (parts.T @ parts @ colours).clamp(min=TINY))
     return colours
 
 
