@@ -12,6 +12,7 @@ from ptt.materials.material import Highlight, Material
 from ptt.materials.shapes import Named
 from ptt.ops.albedo import albedo, nodes
 from ptt.ops.constants import TINY
+from ptt.ops.directions import unit
 from ptt.ops.sphere import Disk
 
 DIFFUSE = 0.02  # quantile of a measured BRDF that counts as its diffuse part: the least values are noise
@@ -61,8 +62,9 @@ def separate(
     f ~ diffuse / pi + the sum of specular_k * shape_k: the diffuse part is the 2 % quantile of each colour over
     directions by projected solid angle. What is left is one colour times a shape where `separation_error` is at most
     `error` then; else two, the best whose colours and shapes are not negative (Lee and Seung 1999), directions weighing
-    as the light that goes there; else red, green and blue, which leave no error but below the quantile. The largest albedo of a shape at 0, 30 and 60 degrees is 1, so that `specular` is an albedo too. Shapes
-    after the first are called "name/2" and "name/3".
+    as the light that goes there; else red, green and blue, which leave no error but below the quantile. The largest
+    albedo of a shape at 0, 30 and 60 degrees is 1, so that `specular` is an albedo too. Shapes after the first are
+    called "name/2" and "name/3".
 
     Raises:
         ValueError: f returns another shape, or values that are not finite; error is negative.
@@ -123,14 +125,15 @@ def _colours(rest: Tensor, weights: Tensor, terms: int) -> Tensor:
     if terms == 3:
         return torch.eye(3).to(rest)
     scaled = rest * (weights / rest.norm(dim=1).clamp(min=TINY)).sqrt()[:, None]
-    vectors = torch.linalg.eigh(scaled.T @ scaled).eigenvectors
+    vectors: Tensor = torch.linalg.eigh(scaled.T @ scaled).eigenvectors
     first, second = vectors[:, -1].abs(), vectors[:, -2]
     if terms == 1:
         return first[None]
-    colours = unit(torch.stack((first + second, first - second)).clamp(min=LEAST))
+    colours: Tensor = unit(torch.stack((first + second, first - second)).clamp(min=LEAST))
     for _ in range(UPDATES):
         parts = _parts(scaled, colours)
-        colours = unit(colours * (parts.T @ scaled) / (parts.T @ parts @ colours).clamp(min=TINY))
+        updated = colours * (parts.T @ scaled) / (parts.T @ parts @ colours).clamp(min=TINY)
+        colours = unit(updated.clamp(min=TINY))
     return colours
 
 
