@@ -23,6 +23,7 @@ from torch import Tensor
 import ptt
 from bench.against import without_bounces
 from bench.machine import SETS, printed
+from bench.metals_measured import measured
 from bench.metals_speed import COUNTS, GOLD
 from bench.table import ROOT, Table
 from ptt.materials.shapes import GGX
@@ -42,7 +43,7 @@ PLASTICS = {
     "plastic, roughness 0.4": ptt.ggx((0.3, 0.08, 0.05), 1.0, 0.04, 0.4),
 }
 TRADED = ("gold, roughness 0.3", "gold, roughness 0.5", "plastic, roughness 0.2")
-PARTS = ("furnace", "suzanne", "dragon", "engine")  # the first without a scene
+PARTS = ("furnace", "measured", "suzanne", "dragon", "engine")  # the first two without a scene
 MAPS = ("uffizi.hdr", "grace.hdr", "interior.exr")
 FORMS = {"tensor": ("tensor", None), "lobes": ("lobes", None), "lobes, 48": ("lobes", 48)}
 GRAZING = 0.34  # cosine of 70 degrees
@@ -56,10 +57,12 @@ def main() -> None:
     options = parser.parse_args()
     if "PTT_DATA" not in os.environ:
         parser.error("set PTT_DATA to the folder with meshes and hdri")
-    for name in options.only[: 2 if options.quick else None]:
+    for name in options.only[: 3 if options.quick else None]:
         table = Table("metals")
         if name == "furnace":
             _furnace(table)
+        elif name == "measured":
+            measured(table, 2 if options.quick else None)
         else:
             _rows(table, name, *((100, 64) if options.quick else (500, 512)))
         if not options.quick:

@@ -33,7 +33,7 @@ class Config:
     """Lobes, of 0, 7, 14 and 21 degrees, that are taken out of the tensor, for sharp highlights; 0..4."""
     highlights: Literal["auto", "lobes", "tensor"] = "auto"
     """How points reflect glossily: narrow lobes made for each material, or the BRDF tensor and its lobes as in the
-    paper, faster and less exact; auto: narrow lobes, the tensor for brushed shapes and measured ones."""
+    paper, faster and less exact; auto: narrow lobes, the tensor for brushed shapes."""
     functions: int = 4
     """Specular functions by which light is reflected on its way."""
     coefficients: int = 96

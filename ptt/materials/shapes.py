@@ -116,7 +116,8 @@ class Named:
             ValueError: the function is missing, or returns negative or non-finite values, or another shape.
         """
         if self.function is None:
-            raise ValueError(f"the BRDF {self.name!r} came from a saved model, without its function: give it again")
+            lacking = "came from a saved model, without its function"
+            raise ValueError(f"the BRDF {self.name!r} {lacking}: give its material again, in materials")
         value = self.function(wi, wo)
         expected = torch.broadcast_shapes(wi.shape, wo.shape)[:-1]
         if value.shape != expected:

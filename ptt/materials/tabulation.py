@@ -57,7 +57,7 @@ def separate(
     """Diffuse and specular colours around monochrome shapes, from RGB data f(wi, wo) -> (..., 3) [1/sr].
 
         silk = ptt.separate("silk", ptt.MERL.load("blue-metallic-paint.binary").evaluate)
-        ptt.separation_error(silk, ptt.MERL.load("blue-metallic-paint.binary").evaluate)  # 0.03
+        ptt.separation_error(silk, ptt.MERL.load("blue-metallic-paint.binary").evaluate)  # 0.01
 
     f ~ diffuse / pi + the sum of specular_k * shape_k: the diffuse part is the 2 % quantile of each colour over
     directions by projected solid angle. What is left is one colour times a shape where `separation_error` is at most

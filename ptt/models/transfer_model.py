@@ -11,7 +11,6 @@ import torch
 from torch import Tensor, nn
 
 from ptt.io import saved
-from ptt.materials.shapes import Named
 from ptt.materials.spaces import BRDFSpace
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.clustered_transfer import ClusteredTransfer
@@ -28,10 +27,8 @@ lobes (Sun et al. 2007)."""
 
 
 def usual_highlights(space: BRDFSpace) -> Highlights:
-    """Narrow lobes; the tensor for brushed shapes, for which narrow lobes have no kernel yet, and for BRDFs of the
-    user's own, whose functions a saved model lacks."""
-    named = any(isinstance(sample, Named) for sample in space.samples)
-    return "tensor" if named or not space.isotropic else "lobes"
+    """Narrow lobes; the tensor for brushed shapes, for which narrow lobes have no kernel yet."""
+    return "lobes" if space.isotropic else "tensor"
 
 
 class SparseTransfer(NamedTuple):

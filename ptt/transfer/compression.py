@@ -43,8 +43,9 @@ def compress(
     editable: materials and spaces that shall be shown too; printing the model tells what it shows
     highlights: how points reflect glossily: "lobes", narrow ones made for each material, which hold for plastics and
         metals alike (docs/metals.md); or "tensor", the BRDF tensor and its lobes, as in the paper, three to five times
-        as fast. Default: lobes; the tensor where `brdf` is given, where there are no clusters, for brushed shapes, for
-        which lobes have no kernel yet, and for BRDFs of your own, whose functions a saved model lacks
+        as fast. Default: lobes; the tensor where `brdf` is given, where there are no clusters, and for brushed shapes,
+        for which lobes have no kernel yet. A saved model lacks the functions of BRDFs of your own: lobes ask for them
+        when it relights, the tensor holds what it needs
     max_memory: bytes that may be in use
     progress: show bars with the rate and the time left
 

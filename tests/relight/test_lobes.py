@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -186,13 +187,31 @@ def test_a_furnace_with_surfaces_around(scene: ptt.Scene, bounced: ptt.TransferM
     assert float(got[rows].max()) < 1.05
 
 
-def test_the_default_is_lobes_but_for_brushed_and_measured_shapes(raw: ptt.RawTransfer) -> None:
+def test_the_default_is_lobes_but_for_brushed_shapes(raw: ptt.RawTransfer) -> None:
     silk = ptt.BRDFSpace.ggx().with_brdf("silk", lambda wi, wo: 0.1 * torch.ones_like(wi[..., 0]))
-    assert ptt.usual_highlights(ptt.BRDFSpace.ggx()) == "lobes"
-    assert ptt.usual_highlights(silk) == ptt.usual_highlights(ptt.BRDFSpace.ward(anisotropic=True)) == "tensor"
+    assert ptt.usual_highlights(ptt.BRDFSpace.ggx()) == ptt.usual_highlights(silk) == "lobes"
+    assert ptt.usual_highlights(ptt.BRDFSpace.ward(anisotropic=True)) == "tensor"
     space = ptt.BRDFSpace.ggx((0.2, 0.3))
     brdf = ptt.TensorBRDF.fit(space, (2, 4, 4), separated=1)
     assert ptt.compress(raw, brdf=brdf).highlights == ptt.compress(raw, highlights="tensor").highlights == "tensor"
+
+
+def test_a_brdf_of_your_own_is_shown_as_the_shape_that_it_is(
+    raw: ptt.RawTransfer, sky: ptt.Environment, tmp_path: Path
+) -> None:
+    """Known by its function alone; a model that was saved asks for it."""
+    shape = GGX(1.0, 0.3)
+    mine = ptt.Material(0.0, GOLD, ptt.Named("mine", shape.evaluate))
+    own = replace(raw.receivers, materials=raw.receivers.materials | {"ball": mine})
+    model = ptt.compress(replace(raw, receivers=own), editable=[ptt.ggx()])
+    assert model.highlights == "lobes"
+    known = ptt.TransferRelighter(model)(sky, {"ball": ptt.Material(0.0, GOLD, shape)}, EYE)
+    torch.testing.assert_close(ptt.TransferRelighter(model)(sky, {}, EYE), known)
+    model.save(tmp_path / "mine.safetensors")
+    loaded = ptt.TransferRelighter(ptt.TransferModel.load(tmp_path / "mine.safetensors"))
+    torch.testing.assert_close(loaded(sky, {"ball": mine}, EYE), known)
+    with pytest.raises(ValueError, match="'mine' came from a saved model, .* give its material again"):
+        loaded(sky, {}, EYE)
 
 
 def test_what_does_not_go_together_is_refused(raw: ptt.RawTransfer, model: ptt.TransferModel) -> None:
