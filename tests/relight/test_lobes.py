@@ -210,7 +210,7 @@ def test_a_brdf_of_your_own_is_shown_as_the_shape_that_it_is(
     model.save(tmp_path / "mine.safetensors")
     loaded = ptt.TransferRelighter(ptt.TransferModel.load(tmp_path / "mine.safetensors"))
     torch.testing.assert_close(loaded(sky, {"ball": mine}, EYE), known)
-    with pytest.raises(ValueError, match="'mine' came from a saved model, .* give its material again"):
+    with pytest.raises(ValueError, match=r"'mine' came from a saved model, .* give its material again"):
         loaded(sky, {}, EYE)
 
 
