@@ -1,4 +1,4 @@
-"""Measured BRDFs as coloured shapes: the light that `ptt.separate` misplaces, of fits and files; for bench/metals.py."""
+"""Measured BRDFs as coloured shapes: the light that `ptt.separate` misplaces, of fits and files, for bench.metals."""
 
 from __future__ import annotations
 
