@@ -8,6 +8,7 @@ surface stay as few as they were.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -51,10 +52,11 @@ def finer_in_gaps(scene: Scene, error: float = ERROR, *, progress: bool = False)
         sky is, as a share of the light of a white one: less takes more vertices
     progress: show a bar, of rounds
 
-    What a vertex sees nearby, by 64 rays, is compared, by what it sees of the sky itself, with what the corners of the
-    triangles see that it lies in; where they differ a triangle is cut in three, and so on for at most 16 rounds. The
-    surface stays as it is, and the new vertices of a region follow its old ones. In an engine of 63,000 vertices whose
-    parts touch, 9 % more of them bring the error of light that bounces once from 14 to 6 %.
+    How much of each of 256 parts of the sky reaches what a vertex sees nearby, by 64 rays, is compared with how much of
+    it reaches the corners of the triangles there. Where they differ a triangle is cut in three at the place, and so on
+    for at most 16 rounds; a warning counts the vertices that still erred then. The surface stays as it is, and the new
+    vertices of a region follow its old ones. In an engine of 63,000 vertices whose parts touch, 8 % more of them bring
+    the error of light that bounces once from 14 to 6 %, in half a minute.
 
     Raises:
         ValueError: error is not above 0.
@@ -74,6 +76,9 @@ def finer_in_gaps(scene: Scene, error: float = ERROR, *, progress: bool = False)
         new = torch.arange(len(seen), len(scene.vertices))
         seen = torch.cat((seen, _sky_seen(scene, scene.points[new], scene.normals[new], SKIES[1])))
         points = torch.cat((sights.points, new))
+    else:
+        left = f"{len(sights.points)} vertices in gaps erred by more than {error:g} before the last of {ROUNDS} rounds"
+        warnings.warn(f"{left}: shorter edges there need fewer", stacklevel=2)
     return _region_by_region(scene)
 
 
