@@ -522,7 +522,7 @@ def test_rotations_are_right_handed_about_x_then_y_then_z(
 @pytest.mark.parametrize(
     ("message", "text"),
     [
-        (r"unknown 'regions'; valid are environment, hidden, camera, region", "regions = 1\n" + BOX),
+        (r"unknown 'regions'; valid are environment, hidden, gaps, camera, region", "regions = 1\n" + BOX),
         (r"region: unknown 'colour'; valid are name, mesh, plane, .*material", BOX + "colour = 1"),
         (
             r"camera: unknown 'fow'; valid are eye, target, up, fov, width, height",
