@@ -75,13 +75,14 @@ def separate(
     level = values.quantile(DIFFUSE, dim=0).clamp(0, 1 / math.pi)
     diffuse = (level * math.pi).float()
     wi, wo, weights = _pairs(isotropic)
-    rest = (_checked(name, brdf, wi, wo) - level).clamp(min=0)
+    values = _checked(name, brdf, wi, wo)
+    rest = (values - level).clamp(min=0)
     if float(weights @ rest.mean(1)) <= NOISE * float(level.max()):
         return Material(diffuse)
     for terms in (1, 2, 3):
         colours = _colours(rest, weights, terms)
         material = Material(diffuse, 0.0, None, *_highlights(name, brdf, level, colours, isotropic))
-        if terms == 3 or separation_error(material, brdf, isotropic) <= error:
+        if terms == 3 or _misplaced(material.evaluate(wi, wo), values, weights) <= error:
             break
     return material
 
@@ -93,9 +94,12 @@ def separation_error(material: Material, brdf: Callable[[Tensor, Tensor], Tensor
     the normal from 0 to 80 degrees (if not isotropic, at 8 azimuths each).
     """
     wi, wo, weights = _pairs(isotropic)
-    values = _checked("brdf", brdf, wi, wo)
-    missing = (material.evaluate(wi, wo) - values).abs()
-    return float((weights @ missing).sum() / (weights @ values).sum().clamp(min=TINY))
+    return _misplaced(material.evaluate(wi, wo), _checked("brdf", brdf, wi, wo), weights)
+
+
+def _misplaced(shown: Tensor, values: Tensor, weights: Tensor) -> float:
+    """The sum of differences from values (m, 3) over that of the values, by weights (m,)."""
+    return float((weights @ (shown - values).abs()).sum() / (weights @ values).sum().clamp(min=TINY))
 
 
 def _highlights(

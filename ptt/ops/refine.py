@@ -63,7 +63,7 @@ def refined(vertices: Tensor, faces: Tensor, edge: float, most: int) -> tuple[Te
     while len(faces):
         if sum(map(len, done)) + len(faces) > most:
             raise ValueError(f"edge = {edge:g} makes more than {most} triangles; take a longer one")
-        lengths = _lengths(middles.vertices, faces)
+        lengths = edge_lengths(middles.vertices, faces)
         faces, lengths = _longest_first(faces, lengths)
         long = lengths > edge
         done.append(faces[~long.any(1)])
@@ -73,7 +73,7 @@ def refined(vertices: Tensor, faces: Tensor, edge: float, most: int) -> tuple[Te
     return torch.cat(done), middles.pairs
 
 
-def _lengths(vertices: Tensor, faces: Tensor) -> Tensor:
+def edge_lengths(vertices: Tensor, faces: Tensor) -> Tensor:
     """The lengths (f, 3) of the edges after each corner."""
     corners = vertices[faces]
     lengths: Tensor = torch.linalg.vector_norm(corners - corners.roll(-1, 1), dim=2)
@@ -90,7 +90,7 @@ def _halved(middles: Midpoints, faces: Tensor) -> Tensor:
     """Two faces of each, which is cut at its longest edge."""
     if not len(faces):
         return faces
-    longest = _lengths(middles.vertices, faces).argmax(1, keepdim=True)
+    longest = edge_lengths(middles.vertices, faces).argmax(1, keepdim=True)
     a, b, c = faces.gather(1, (longest + torch.arange(3)) % 3).unbind(1)
     m = middles.of(a, b)
     return torch.cat((torch.stack((a, m, c), 1), torch.stack((m, b, c), 1)))

@@ -18,7 +18,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from ptt.materials.varying import Map, SurfaceMaterial
-from ptt.ops import transfer
+from ptt.ops import refine, transfer
 from ptt.ops.octahedral import Octahedral
 from ptt.ops.raycast import Hits
 from ptt.scene.scene import Scene
@@ -97,7 +97,7 @@ def _sky_seen(scene: Scene, points: Tensor, normals: Tensor, sky: Octahedral) ->
 def _sights(scene: Scene, points: Tensor, seen: Tensor, sky: Octahedral, error: float) -> Sights:
     """Of points (p,), by their numbers, those that err by more; seen (v, cells): what all vertices see of the sky."""
     local = transfer.gather_directions(RAYS)
-    lengths = _longest_edges(scene)
+    lengths = refine.edge_lengths(scene.vertices, scene.faces).amax(1)
     found = [Sights(points[:0], seen[:0, 0], points[:0], seen[:0, :3])]
     for some in points.split(POINTS_AT_ONCE):
         hits = transfer.first_hits(scene.surface, scene.points[some], scene.frames[some], local)
@@ -121,13 +121,6 @@ def _erring(
     seeing = point[worst]
     found = Sights(points[seeing], errors[seeing], hits.triangle[worst], hits.barycentric[worst])
     return found.of(found.errors > error)
-
-
-def _longest_edges(scene: Scene) -> Tensor:
-    """The length (f,) of the longest edge of each triangle."""
-    corners = scene.vertices[scene.faces]
-    lengths: Tensor = torch.linalg.vector_norm(corners - corners.roll(1, 1), dim=2).amax(1)
-    return lengths
 
 
 def _largest_of_each(values: Tensor, groups: Tensor) -> Tensor:
