@@ -34,6 +34,11 @@ class Lamps(NamedTuple):
         """No lamps, in the type of a tensor."""
         return cls(like.new_zeros(0, 3), like.new_zeros(0, 3), like.new_zeros(0, 0, 3), like.new_zeros(0, 0))
 
+    def irradiance(self, normal: Tensor, through: Tensor | None = None) -> Tensor:
+        """What arrives at points with normals (3, n), of which they see some of each lamp (m, n), None for all (n, c)."""
+        cosine = (self.directions @ normal).clamp(min=0)
+        return (cosine if through is None else cosine * through).T @ self.powers
+
     @classmethod
     def together(cls, several: Sequence[Lamps]) -> Lamps:
         """The lamps of several lights."""
@@ -53,8 +58,8 @@ def apart(light: Tensor, directions: Tensor, solid_angles: Tensor) -> tuple[Lamp
     """
     if is_batch(light):
         raise ValueError(
-            "maps cannot be a batch of torch.func.vmap where highlights are lobes: "
-            'loop over them, or compress with highlights="tensor"'
+            "maps cannot be a batch of torch.func.vmap where lamps are kept apart: loop over them, compress with "
+            'highlights="tensor", or make an EnvMapRelighter with lamps=False'
         )
     rest = light
     power = (light.detach() * solid_angles).sum(1)

@@ -10,6 +10,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ptt.ops.octahedral import HemiOctahedral
+
+FINEST_ANGLE = 1e-4  # [rad] half angle that `lobe_nodes` resolve
+RINGS = 32  # half angles of these on either side of the horizon's bound
+ARCS = 24  # azimuths of these
+TRIED_VIEWS = 10  # along an edge of the directions of view that tell whether a lobe falls between samples
+LOW = 0.1  # height of a direction of view, 6 degrees: below it the quadrature is less exact
+RESOLVED = 0.01  # share of the reflected light, RMS over views, that samples may miss
+
 
 def albedo(
     f: Callable[[Tensor, Tensor], Tensor], wo: Tensor, finest: float = 1e-9, rings: int = 160, turns: int = 48
@@ -70,6 +79,23 @@ def nodes(wo: Tensor, finest: float = 1e-9, rings: int = 160, turns: int = 48) -
     oh = (wo * h).sum(-1)
     wi = 2 * oh[..., None] * h - wo
     return wi, wi[..., 2].clamp(min=0) * 4 * oh.clamp(min=0) * dh.flatten(-2)
+
+
+def lobe_nodes(wo: Tensor) -> tuple[Tensor, Tensor]:
+    """The same nodes, so many as resolve lobes that are too narrow for samples which do not follow them."""
+    return nodes(wo, FINEST_ANGLE, RINGS, ARCS)
+
+
+def is_missed(f: Callable[[Tensor, Tensor], Tensor], sampled: Callable[[Tensor], Tensor]) -> bool:
+    """Tell whether samples miss more than `RESOLVED` of what a BRDF reflects, seen from some directions.
+
+    sampled: gives what f reflects (v,) by these samples, seen from directions (v, 3)
+    """
+    some = HemiOctahedral(TRIED_VIEWS).directions().reshape(-1, 3)
+    some = some[some[:, 2] > LOW]
+    wi, weights = lobe_nodes(some)
+    whole = (f(wi, some[:, None].expand_as(wi)) * weights).nan_to_num().sum(1)
+    return bool((sampled(some) - whole).square().sum() > RESOLVED**2 * whole.square().sum())
 
 
 def gauss_legendre(n: int, like: Tensor) -> tuple[Tensor, Tensor]:

@@ -272,11 +272,15 @@ class Gloss(NamedTuple):
 def gloss_of(reflects: Reflects, isotropic: bool, n: int | None = None, sums: CellSums = cell_sums) -> Gloss:
     """The tables of a material, with n lobes, None for `enough`; differentiable in f."""
     samples = sampled(reflects, isotropic)
-    sectors = SECTORS if isotropic else 2 * SECTORS
-    values = samples.values.unflatten(1, (RINGS, sectors))
     found = sums(outside(nodes, 1).mirrored, samples.reflected, n or enough(samples))
     lobes = Lobes(_table(found), samples.turns)
-    return Gloss(lobes, (values + TINY).sqrt(), _as_one_lobe(found, samples.turns), _is_sharp(samples))
+    return Gloss(lobes, roots(samples), _as_one_lobe(found, samples.turns), is_sharp(samples))
+
+
+def roots(samples: Samples) -> Tensor:
+    """The root of f (turns * tilts, rings, sectors, c), for lamps."""
+    sectors = SECTORS if samples.turns == 1 else 2 * SECTORS
+    return (samples.values.unflatten(1, (RINGS, sectors)) + TINY).sqrt()
 
 
 def enough(samples: Samples) -> int:
@@ -292,7 +296,7 @@ def enough(samples: Samples) -> int:
     return MANY if wide and bool(albedo.max() > METAL) else FEW
 
 
-def _is_sharp(samples: Samples) -> bool:
+def is_sharp(samples: Samples) -> bool:
     """Tell whether, seen straight on, half of what is reflected lies within `SHARP` degrees of the mirror direction."""
     mass = beneath(samples.reflected).detach()[TILTS - 1].sum(1)
     near = outside(nodes, 1).mirrored[TILTS - 1, 2] > math.cos(math.radians(SHARP))

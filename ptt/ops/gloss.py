@@ -141,7 +141,7 @@ def shine(
     around: what sends light where the sky is hidden; None for direct light alone
     share (c, n): how much of the material there is at each point; None for all
     """
-    wo = local_directions(points, eye).T
+    wo = local_directions(points.position, points.frame, eye).T
     frame = points.frame.movedim(2, 0)  # shape: (n, 3, 3)
     parts = []
     for first in range(0, len(wo), AT_ONCE):
@@ -187,7 +187,7 @@ def _shine(gloss: Gloss, light: GlossLight, frame: Tensor, seen: Tensor, wo: Ten
     out: Tensor = (row[..., 4:] * about).sum(1)
     if not len(light.lamps):
         return out
-    return out + _lamps(frame, wo, gloss, index, weights, light)
+    return out + _lamps(frame, wo, gloss.values, light.lamps, light.powers, light.through)
 
 
 def _from_points(around: Around, frame: Tensor, axes: Tensor, turn: Tensor) -> Tensor:
@@ -289,22 +289,48 @@ def _bytes_at(shares: Tensor, axes: Tensor) -> Tensor:
     return mean
 
 
-def _lamps(frame: Tensor, wo: Tensor, gloss: Gloss, rows: Tensor, shares: Tensor, light: GlossLight) -> Tensor:
-    """What points reflect of lamps (n, c), by rows (n, j) of the table of f and their shares (n, j)."""
-    wi = light.lamps.to(frame) @ frame.transpose(1, 2)  # shape: (n, m, 3)
-    lit = wi[..., 2].clamp(min=0) * light.through.T
-    index, weights = _on_nodes(wi, wo, gloss)
-    t, r, s, c = gloss.values.shape
+def reflected_lamps(
+    position: Tensor,
+    frame: Tensor,
+    eye: Tensor,
+    values: Tensor,
+    lamps: Tensor,
+    powers: Tensor,
+    through: Tensor | None = None,
+) -> Tensor:
+    """What points reflect of lamps to the eye (n, c), for an eye (3,) or unit directions (3, n) to it.
+
+    position (3, n), frame (3, 3, n): rows tangent, bitangent, normal
+    values (turns * tilts, rings, sectors, c): the root of f (`ops.cells.Gloss`)
+    lamps (m, 3), powers (m, c): in the world
+    through (m, n): how much of each lamp the points see; None for all of it
+    """
+    wo = local_directions(position, frame, eye).T
+    seen = position.new_ones(len(lamps), position.shape[1]) if through is None else through
+    rows = frame.movedim(2, 0).split(AT_ONCE)
+    parts = [
+        _lamps(some, towards, values, lamps, powers, own)
+        for some, towards, own in zip(rows, wo.split(AT_ONCE), seen.split(AT_ONCE, 1), strict=True)
+    ]
+    return torch.cat(parts)
+
+
+def _lamps(frame: Tensor, wo: Tensor, values: Tensor, lamps: Tensor, powers: Tensor, through: Tensor) -> Tensor:
+    """What points with frames (n, 3, 3) reflect of lamps to local wo (n, 3), as `reflected_lamps`."""
+    t, r, s, c = values.shape
+    rows, shares = rows_of(wo, t // TILTS)
+    wi = lamps.to(frame) @ frame.transpose(1, 2)  # shape: (n, m, 3)
+    lit = wi[..., 2].clamp(min=0) * through.T
+    index, weights = _on_nodes(wi, wo, r, s)
     every = (rows[:, None, :, None] * (r * s) + index[:, :, None]).flatten(2).flatten(0, 1)
     mixed = (shares[:, None, :, None] * weights[:, :, None]).flatten(2).flatten(0, 1)
-    root = mix(gloss.values.reshape(t * r * s, c), every, mixed).unflatten(0, wi.shape[:2])
-    sent: Tensor = (root * root * lit[..., None] * light.powers.to(root)).sum(1)
+    root = mix(values.reshape(t * r * s, c), every, mixed).unflatten(0, wi.shape[:2])
+    sent: Tensor = (root * root * lit[..., None] * powers.to(root)).sum(1)
     return sent
 
 
-def _on_nodes(wi: Tensor, wo: Tensor, gloss: Gloss) -> tuple[Tensor, Tensor]:
-    """Cells (n, m, 4) of rings and sectors, and their weights, at local directions wi (n, m, 3) and wo (n, 3)."""
-    _, r, s, _ = gloss.values.shape
+def _on_nodes(wi: Tensor, wo: Tensor, r: int, s: int) -> tuple[Tensor, Tensor]:
+    """Cells (n, m, 4) of r rings and s sectors, and their weights, at local wi (n, m, 3) and wo (n, 3)."""
     upper = torch.cat((wo[:, :2], wo[:, 2:].abs()), 1)[:, None]
     h = (wi + upper) @ _towards(wo).transpose(1, 2)
     square = (h[..., :2].square().sum(-1) / h[..., 2].square().clamp(min=TINY)).clamp(min=TINY)

@@ -17,7 +17,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from ptt.ops.albedo import nodes
+from ptt.ops.albedo import is_missed, lobe_nodes
 from ptt.ops.brdf import half_vector
 from ptt.ops.constants import BYTE, ROOTS
 from ptt.ops.geodesic import FINEST_LEVEL, Geodesic
@@ -25,13 +25,7 @@ from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.raycast import Surface
 
 EDGE = math.atan(2)  # [rad] of a root, an icosahedron's triangle
-FINEST_ANGLE = 1e-4  # [rad] half angle that the quadrature over narrow lobes resolves (`ops.albedo.nodes`)
-RINGS = 32  # half angles of that quadrature on either side of the horizon's bound
-ARCS = 24  # azimuths of that quadrature
 DIRECTIONS_AT_ONCE = 64  # of view, whose nodes take 7 MB
-TRIED_VIEWS = 10  # along an edge of the directions of view that tell whether a lobe falls between samples
-LOW = 0.1  # height of a direction of view, 6 degrees: below it the quadrature is less exact
-RESOLVED = 0.01  # share of the reflected light, RMS over views, that samples on triangles may miss
 ZERO_WITHIN = 1e-9  # a coordinate this little below 0 counts as 0, so that the planes between mirror images are kept
 _RAYS_AT_ONCE = 1 << 20  # 24 MB of origins and directions in float32
 _VALUES_AT_ONCE = 1 << 18  # of the BRDF: 1 MB, which stays in the cache
@@ -116,7 +110,7 @@ def narrow_brdf(
     """F (o, n) of a BRDF with a lobe narrower than triangles, for some directions of `HemiOctahedral(views)` (o,).
 
     Half vectors near the normal, up to the width of a triangle, are those of a quadrature that resolves lobes there
-    (`ops.albedo.nodes`), each in the triangle of its direction; what is left is sampled as by `brdf`. At level 2 the
+    (`ops.albedo.lobe_nodes`), each in the triangle of its direction; what is left is sampled as by `brdf`. At level 2 the
     samples of GGX of roughness 0.2 reflect 17 % too much or too little, RMS over views; this 0.3 %.
     """
     wo = HemiOctahedral(views).directions().reshape(-1, 3)[rows]
@@ -126,7 +120,7 @@ def narrow_brdf(
     scale = grid.cells / ROOTS
     for first in range(0, len(wo), DIRECTIONS_AT_ONCE):
         some = slice(first, first + DIRECTIONS_AT_ONCE)
-        wi, weights = nodes(wo[some], FINEST_ANGLE, RINGS, ARCS)
+        wi, weights = lobe_nodes(wo[some])
         out = wo[some, None].expand_as(wi)
         values = f(wi, out) * near(wi, out) * weights * scale
         table[some] += (
@@ -139,12 +133,7 @@ def narrow_brdf(
 
 def is_narrow(f: Callable[[Tensor, Tensor], Tensor], grid: Geodesic, samples: int = 4) -> bool:
     """Tell whether samples on triangles miss more than RESOLVED of what a BRDF reflects, seen from some directions."""
-    some = HemiOctahedral(TRIED_VIEWS).directions().reshape(-1, 3)
-    some = some[some[:, 2] > LOW]
-    wi, weights = nodes(some, FINEST_ANGLE, RINGS, ARCS)
-    albedo = (f(wi, some[:, None].expand_as(wi)) * weights).nan_to_num().sum(1)
-    sampled = brdf(f, grid, some, samples).sum(1) * (ROOTS / grid.cells)
-    return bool((sampled - albedo).square().sum() > RESOLVED**2 * albedo.square().sum())
+    return is_missed(f, lambda wo: brdf(f, grid, wo, samples).sum(1) * (ROOTS / grid.cells))
 
 
 def _nearness(level: int) -> Callable[[Tensor, Tensor], Tensor]:
@@ -169,7 +158,7 @@ def _cells_of_lobes(level: int, views: int, mirrored: bool) -> Tensor:
         wo = wo[(wo[:, 0] > -ZERO_WITHIN) & (wo[:, 1] > -ZERO_WITHIN)]
     parts = []
     for some in wo.split(DIRECTIONS_AT_ONCE):
-        wi = nodes(some, FINEST_ANGLE, RINGS, ARCS)[0]
+        wi = lobe_nodes(some)[0]
         wi = torch.where(wi[..., 2:] > 0, wi, wi.new_tensor([0.0, 0.0, 1.0]))
         parts.append(grid.cell(wi).int())
     return torch.cat(parts)

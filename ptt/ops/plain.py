@@ -1,7 +1,7 @@
 """The plain functions that `ptt.ops.native` has kernels for, by the same names: their oracles and derivatives."""
 
 from ptt.ops.cells import cell_sums
-from ptt.ops.gloss import lamp_visibility, shine
+from ptt.ops.gloss import lamp_visibility, reflected_lamps, shine
 from ptt.ops.latlong import octahedral_means
 from ptt.ops.near import of_frames, of_texels, of_views
 from ptt.ops.relight import eigen, expand, light_eigen, lighting
@@ -26,6 +26,7 @@ __all__ = [
     "of_views",
     "quantised",
     "reflected",
+    "reflected_lamps",
     "resampled_light",
     "resampled_values",
     "rotated_light",

@@ -1,7 +1,12 @@
 """BRDF slices: for every direction of view, a BRDF times the cosine in Haar coefficients (Wang et al. 2006, section 3).
 
-    F[o, j] = integral over cell j of  f(wi, wo) max(wi . n, 0) dwi          in Haar coefficients over j
+    F[o, j] = integral of  t_j(wi) f(wi, wo) max(wi . n, 0) dwi              in Haar coefficients over j
     B[v]    = sum over the four nearest normals k of  w[k, v]  sum over j of  F[o(v, k), j] L[k, j]
+
+t_j is bilinear about the centre of cell j, so that light is interpolated between cells (the paper integrates over the
+cell alone, and what is narrower than a cell then shows cells as squares). The integral is a quadrature that follows
+lobes however narrow they are: four samples a cell reflected 13 % too little of GGX of roughness 0.1, and four times too
+much at grazing views.
 
 L is local light (`ops.rotation`), wo is sampled on `HemiOctahedral(views)` and not interpolated. o(v, k) is the
 direction that normal k mirrors to where point v mirrors the viewer: so all four slices have their highlights in one
@@ -15,18 +20,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from ptt.ops import haar, tucker
+from ptt.ops.albedo import is_missed, lobe_nodes
 from ptt.ops.directions import toward
 from ptt.ops.octahedral import HemiOctahedral, corners, hemi_octahedral, mix, octahedral
 
 BRDF = Callable[[Tensor, Tensor], Tensor]  # f(wi, wo): (..., 3), (..., 3) -> (...) [1/sr]
 ALIGNED = 16  # points, and terms, come in multiples of it
-_VALUES = 1 << 22  # a block of BRDF values
+FINE = 64  # samples along the edge of a map; a cell has one at least
+_VIEWS = 32  # whose samples take 20 MB
 _POINTS = 1 << 12  # whose products are in the cache at once
 
 
@@ -141,11 +149,11 @@ def _leaned(d: Tensor, start: Tensor, end: Tensor) -> Tensor:
     return d - along_middle * middle + 2 * (d * start).sum(-1, keepdim=True) * end
 
 
-def tabulate(f: BRDF, m: int, views: int, terms: int, twists: int = 1, samples: int = 2) -> Slices:
+def tabulate(f: BRDF, m: int, views: int, terms: int, twists: int = 1, even: bool = False) -> Slices:
     """The `terms` largest Haar coefficients of every slice of a BRDF on `HemiOctahedral(m)`.
 
     twists: 1 for an isotropic BRDF, of which an eighth is sampled: the rest are its mirror images
-    samples: along the edge of a cell, of the midpoint rule
+    even: says that f turned by half a circle is f, so that half of the twists are the other half again
 
     Raises:
         ValueError: terms is not in 1..m^2, or the BRDF returns what is not finite.
@@ -154,20 +162,22 @@ def tabulate(f: BRDF, m: int, views: int, terms: int, twists: int = 1, samples: 
         raise ValueError(f"terms must be in 1..{m * m}, the cells of a local map, got {terms}")
     rows, columns = torch.meshgrid(torch.arange(views), torch.arange(views), indexing="ij")
     eighth = (columns >= rows) & (rows >= views // 2) if twists == 1 else torch.ones_like(rows, dtype=torch.bool)
+    again = 2 if even and twists % 2 == 0 else 1
+    angles = torch.arange(twists // again, dtype=torch.float64) * (2 * math.pi / twists)
     kept = [
-        haar.truncate(haar.analyse(block.reshape(-1, m, m)).flatten(1), terms)
-        for block in _dense(f, m, HemiOctahedral(views).directions()[eighth].float(), twists, samples)
+        haar.truncate(haar.analyse(block.unflatten(2, (m, m))).flatten(2), terms)
+        for block in _dense(f, m, HemiOctahedral(views).directions()[eighth], angles)
     ]
-    order, values = (torch.cat(parts) for parts in zip(*kept, strict=True))
+    order, values = (torch.cat(parts, 1).flatten(0, 1).repeat(again, 1) for parts in zip(*kept, strict=True))
     if twists == 1:
         order, values = _mirrored(order, values, m, eighth)
     order, values = (torch.nn.functional.pad(x, (0, -terms % ALIGNED)) for x in (order, values))
     return Slices(order.to(torch.int16), values.half(), views)
 
 
-def factorise(f: BRDF, m: int, views: int, rank: int, twists: int = 1, samples: int = 2) -> Slices:
+def factorise(f: BRDF, m: int, views: int, rank: int, twists: int = 1, even: bool = False) -> Slices:
     """As `tabulate`, but the best approximation of all slices together by `rank` products of two factors."""
-    dense = tabulate(f, m, views, m * m, twists, samples).to_dense(m * m)
+    dense = tabulate(f, m, views, m * m, twists, even).to_dense(m * m)
     if not 1 <= rank <= min(dense.shape):
         raise ValueError(f"rank must be in 1..{min(dense.shape)}, got {rank}")
     gram = torch.stack([block.double().T @ block.double() for block in dense.split(1 << 14)]).sum(0)
@@ -234,21 +244,53 @@ def _projected(m: int, samples: int) -> Tensor:
     return weight.reshape(m, samples, m, samples).transpose(1, 2).flatten()
 
 
-def _dense(f: BRDF, m: int, wo: Tensor, twists: int, samples: int) -> Iterator[Tensor]:
-    """Slices (b, M) in texels for directions of view (v, 3), in blocks, float32."""
-    wi = HemiOctahedral(m).samples(samples).float()
-    weight = _projected(m, samples).float()
-    for k in range(twists):
-        c = math.cos(2 * math.pi * k / twists)
-        s = math.sin(2 * math.pi * k / twists)
-        turned = torch.tensor(
-            [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float32
-        )  # into the frame of the tangent
-        for some in wo.split(max(1, _VALUES // len(wi))):
-            values = f(wi @ turned, (some @ turned)[:, None]) * weight
-            if not bool(values.isfinite().all()):
-                raise ValueError("the BRDF must be finite")
-            yield values.reshape(len(some), m * m, -1).sum(2)
+def _dense(f: BRDF, m: int, wo: Tensor, angles: Tensor) -> Iterator[Tensor]:
+    """Slices (twists, b, M) in texels for twists by some angles (twists,) [rad] and directions of view (v, 3), in blocks
+    of these, float32."""
+    samples = _samples(m)
+    narrow = is_missed(f, lambda some: _texels(f, some.float(), samples, m).sum(1))
+    for some in wo.split(_VIEWS):
+        on = _incident(*lobe_nodes(some), m) if narrow else samples
+        blocks = []
+        for c, s in zip(angles.cos().tolist(), angles.sin().tolist(), strict=True):
+            turn = torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float32)  # into the tangent's
+            blocks.append(_texels(f, some.float() @ turn, on._replace(wi=on.wi @ turn), m))
+        yield torch.stack(blocks)
+
+
+class _Incident(NamedTuple):
+    """Samples of light: directions (..., s, 3), cosines times solid angles (..., s), and their cells and shares of these
+    (..., s, 4)."""
+
+    wi: Tensor
+    weights: Tensor
+    cells: Tensor
+    tents: Tensor
+
+
+def _incident(wi: Tensor, weights: Tensor, m: int) -> _Incident:
+    """Samples on a local map, of directions (..., s, 3) of which those below the horizon weigh nothing (..., s)."""
+    up = torch.where(weights[..., None] > 0, wi, wi.new_tensor([0.0, 0.0, 1.0]))
+    cells, tents = corners(hemi_octahedral(up), m, wrap=False)
+    return _Incident(up.float(), weights.float(), cells, tents.float())
+
+
+@lru_cache(maxsize=4)
+def _samples(m: int) -> _Incident:
+    """Samples that are the same for all directions of view, by the midpoint rule."""
+    fine = HemiOctahedral(max(m, FINE))
+    wi = fine.directions().reshape(-1, 3)
+    return _incident(wi, fine.solid_angles().flatten() * wi[:, 2], m)
+
+
+def _texels(f: BRDF, wo: Tensor, on: _Incident, m: int) -> Tensor:
+    """Slices (v, M) in texels for local directions of view (v, 3)."""
+    values = torch.where(on.weights > 0, f(on.wi, wo[:, None].expand(-1, on.wi.shape[-2], -1)), 0.0)
+    if not bool(values.isfinite().all()):
+        raise ValueError("the BRDF must be finite")
+    parts = on.tents * (values * on.weights)[..., None]
+    cells = on.cells.expand_as(parts)
+    return parts.new_zeros(len(wo), m * m).scatter_add_(1, cells.flatten(1), parts.flatten(1))
 
 
 def _mirrored(order: Tensor, values: Tensor, m: int, eighth: Tensor) -> tuple[Tensor, Tensor]:

@@ -110,7 +110,7 @@ def _radiance(
     points: SurfaceBlocks, eye: Tensor, sent: OutgoingLight, gloss: LitLobes | None, outgoing: Tensor
 ) -> Tensor:
     """B (b, c, w) of points in blocks."""
-    wo = local_directions(points, eye)
+    wo = local_directions(points.position, points.frame, eye)
     values = sent.values.to(outgoing.dtype) * sent.unit[..., None]
     o = 1 + outgoing.shape[1]
     diffuse = values[:, :, 0]
@@ -138,9 +138,9 @@ def _radiance(
     return out
 
 
-def local_directions(points: SurfaceBlocks, eye: Tensor) -> Tensor:
-    """Local directions (3, n) to the eye."""
-    local = _sums(points.frame.transpose(0, 1), toward(eye, points.position, 0)[:, None])
+def local_directions(position: Tensor, frame: Tensor, eye: Tensor) -> Tensor:
+    """Local directions (3, n) to the eye, of points at positions (3, n) with frames (3, 3, n)."""
+    local = _sums(frame.transpose(0, 1), toward(eye, position, 0)[:, None])
     here = (local == 0).all(0)  # an eye in a point looks along its normal
     return torch.cat((local[:2], (local[2] + here.to(local))[None]))
 

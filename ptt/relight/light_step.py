@@ -45,7 +45,7 @@ class LightStep(nn.Module):
     grid: cells around the world
     angles: of the lobes by which `maps` blurs the light [degrees]
     compiled: as `operations` says
-    lamps: says whether what is small and bright is kept apart from the blurred light
+    lamps: says whether what is small and bright is kept apart where it is asked for
 
     - A turn, a factor or a sum of lights costs a lookup a map; another map is made ready first, and kept with it.
     - Differentiable in the map and in factors.
@@ -70,6 +70,12 @@ class LightStep(nn.Module):
     def forward(self, environment: Environment) -> Tensor:
         """L (3, *grid.shape)."""
         return self._light(environment, [maps.whole for maps in self._ready(environment)])
+
+    @uncompiled
+    def without_lamps(self, environment: Environment) -> tuple[Tensor, Lamps]:
+        """L without the lamps that are kept apart, and these."""
+        ready = self._ready(environment)
+        return self._light(environment, [maps.rest for maps in ready]), self._lamps(environment, ready)
 
     def with_lobes(self, environment: Environment) -> SplitLight:
         """L, and the light as lobes see it."""

@@ -166,7 +166,9 @@ class LobeSteps(nn.Module):
         arriving = [self._arriving(region, fine, coarse, coarsest) for region in self.model.clustered]
         cells, shares = _cells_of(split.lamps, self.model.grid)
         through = [self._operations.lamp_visibility(region.sky, cells, shares) for region in self.model.clustered]
-        of_lamps = [_irradiance(*given, split.lamps) for given in zip(self.points, through, strict=True)]
+        of_lamps = [
+            split.lamps.irradiance(points.frame[2], seen) for points, seen in zip(self.points, through, strict=True)
+        ]
         return LobeLight(arriving, through, torch.cat(through, 1).T.contiguous(), of_lamps, split)
 
     def _arriving(
@@ -312,12 +314,6 @@ def _cells_of(lamps: Lamps, grid: Cube) -> tuple[Tensor, Tensor]:
     for lamp, (own, share) in enumerate(found):
         cells[lamp, : len(own)], shares[lamp, : len(own)] = own, share
     return cells, shares
-
-
-def _irradiance(points: RegionPoints, through: Tensor, lamps: Lamps) -> Tensor:
-    """What arrives of lamps at points in blocks (n, c), of which they see some of each (m, n)."""
-    cosine = (lamps.directions @ points.frame[2]).clamp(min=0)
-    return (cosine * through).T @ lamps.powers
 
 
 def _lit(material: LobeMaterial, light: SplitLight, through: Tensor) -> list[tuple[Gloss, GlossLight, Tensor | None]]:

@@ -59,6 +59,32 @@ def test_against_the_path_tracer(ball: ptt.Scene, material: ptt.Material, bound:
     assert ptt.relative_rmse(got[at], truth(ball, SKY, {"ball": material})[at]) < bound
 
 
+@pytest.mark.parametrize("roughness", [0.2, 0.5])
+def test_lamps_are_as_sharp_as_the_material(ball: ptt.Scene, roughness: float) -> None:
+    """Under a sun of a degree, which the map's cells of six are too coarse for."""
+    sky = ptt.Environment.sun_sky(radius=1.0)
+    at = facing(ball)
+    materials = {"ball": ptt.ggx(0.1, 1.0, 1.0, roughness)}
+    wanted = truth(ball, sky, materials)[at]
+    rotation = ptt.LightRotation.build(32, 32)
+    fine, coarse = (
+        ptt.relative_rmse(ptt.EnvMapRelighter(ball, rotation, lamps=lamps)(sky, materials, ball.camera)[at], wanted)
+        for lamps in (True, False)
+    )
+    assert fine < 0.04 and coarse > 2 * fine
+
+
+def test_a_mirror_shows_lamps_as_areas(ball: ptt.Scene, rotation: ptt.LightRotation) -> None:
+    """A sharp shape sees the whole map through its slices, lamps kept apart or not."""
+    sky = ptt.Environment.sun_sky(radius=1.0)
+    material = {"ball": ptt.ggx(0.0, 1.0, 1.0, 0.05)}
+    both = [
+        ptt.EnvMapRelighter(ball, rotation, views=32, lamps=lamps)(sky, material, ball.camera)
+        for lamps in (True, False)
+    ]
+    torch.testing.assert_close(*both)
+
+
 def test_more_is_better(ball: ptt.Scene) -> None:
     """Finer maps, and more terms, come closer on a glossy ball."""
     materials = {"ball": ptt.blinn_phong(0.0, 1.0, 60.0)}
@@ -80,14 +106,16 @@ def test_factorised_slices_agree(ball: ptt.Scene, rotation: ptt.LightRotation) -
     assert ptt.relative_rmse(low(*args), sparse(*args)) < 0.01
 
 
+@pytest.mark.parametrize("radius", [1.0, 15.0])
 @pytest.mark.parametrize("material", [ptt.blinn_phong(0.1, 0.5, 30.0), ptt.ward(0.1, 0.5, 0.1, 0.4)])
-def test_compiled_agrees_with_eager(ball: ptt.Scene, material: ptt.Material) -> None:
+def test_compiled_agrees_with_eager(ball: ptt.Scene, material: ptt.Material, radius: float) -> None:
+    sky = ptt.Environment.sun_sky(radius=radius)  # a lamp, or none
     answers = []
     for compiled in (False, True):
         rotate = ptt.LightRotation.build(32, 8, compiled=compiled)
         relighter = ptt.EnvMapRelighter(ball, rotate, views=32, twists=8)
-        answers.append(relighter(SKY, {"ball": material}, ball.camera))
-    torch.testing.assert_close(*answers, rtol=1e-4, atol=1e-5)
+        answers.append(relighter(sky, {"ball": material}, ball.camera))
+    torch.testing.assert_close(*answers, rtol=1e-4, atol=1e-4)
 
 
 def test_constant_light_gives_the_albedo(relighter: ptt.EnvMapRelighter, ball: ptt.Scene) -> None:

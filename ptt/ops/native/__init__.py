@@ -6,7 +6,7 @@ tells why.
 """
 
 from ptt.ops.native.forming import quantised
-from ptt.ops.native.glossing import cell_sums, lamp_visibility, shine
+from ptt.ops.native.glossing import cell_sums, lamp_visibility, reflected_lamps, shine
 from ptt.ops.native.kernels import available, prepare
 from ptt.ops.native.maps import octahedral_means
 from ptt.ops.native.near import of_frames, of_texels, of_views
@@ -40,6 +40,7 @@ __all__ = [
     "prepare",
     "quantised",
     "reflected",
+    "reflected_lamps",
     "refusals",
     "resampled_light",
     "resampled_values",

@@ -30,12 +30,16 @@ struct Lobe {
 };
 
 // Of a group of points: the local direction to the eye, and unit (u, v) along it as seen from above; the row of tables
-// below it, and the share of the row above; how much there is of the material, channel by channel, and whether any.
-struct Look {
-    bool some;
-    Lanes material[3];
+// below it, and the share of the row above.
+struct Stand {
     Lanes wo[3], u, v, frame[3][3], share;
     Ints row;
+};
+
+// Of the same: how much there is of the material, channel by channel, and whether any; its lobes.
+struct Look : Stand {
+    bool some;
+    Lanes material[3];
     Lobe lobes[MOST_CELLS];
     float rows[LANES][COLUMNS * MOST_CELLS + GROUP];
 };
@@ -81,25 +85,30 @@ static inline void fetch(const Shine &g, int64_t v, int part, int parts) {
         __builtin_prefetch(g.seen + v * SEEN + i * LINE, 0, 2);
 }
 
-static inline void look(const Shine &g, int64_t v, Look &at) {
+template <class Points>
+static inline void stand(const Points &g, int64_t v, Stand &at) {
     Lanes toward[3], length = all(0);
     for (int c = 0; c < 3; ++c) {
         toward[c] = g.distant ? load(g.eye + c * g.n + v) : g.eye[c] - load(g.position + c * g.n + v);
         length += toward[c] * toward[c];
     }
     const Lanes scale = 1.0f / root(most(length, all(TINY)));
-    Lanes to_map[3][3];
     for (int r = 0; r < 3; ++r) {
         at.wo[r] = all(0);
         for (int c = 0; c < 3; ++c)
             at.wo[r] += (at.frame[r][c] = load(g.frame + (3 * r + c) * g.n + v)) * toward[c] * scale;
-        turned(at.frame[r], g.turn, to_map[r]);
     }
     const Ints here = (at.wo[0] == 0) & (at.wo[1] == 0) & (at.wo[2] == 0);  // an eye in a point looks along its normal
     at.wo[2] = here ? all(1) : at.wo[2];
     flattened(at.wo, at.u, at.v);
     const Lanes tilt = least(most(size(at.wo[2]) * (TILTS - 0.5f) - 0.5f, all(0)), all(TILTS - 1));
     at.row = clamp(whole(tilt), TILTS - 2), at.share = tilt - real(at.row);
+}
+
+static inline void look(const Shine &g, int64_t v, Look &at) {
+    stand(g, v, at);
+    Lanes to_map[3][3];
+    for (int r = 0; r < 3; ++r) turned(at.frame[r], g.turn, to_map[r]);
     const int columns = COLUMNS * g.lobes;
     for (int l = 0; l < LANES; ++l) {
         const float *below = g.table + at.row[l] * columns, *above = below + columns, share = at.share[l];
@@ -330,12 +339,13 @@ static inline void reflect(const Shine &g, int64_t v, const Look &at, float (*su
 }
 
 // What comes of a lamp, added to sums.
-static inline void lamp(const Shine &g, int64_t v, const Look &at, int64_t m, float (*sums)[CHANNELS]) {
+template <class Lit>
+static inline void lamp(const Lit &g, int64_t v, const Stand &at, int64_t m, float (*sums)[CHANNELS]) {
     const float *toward = g.lamps + 3 * m;
     Lanes wi[3];
     for (int r = 0; r < 3; ++r)
         wi[r] = at.frame[r][0] * toward[0] + at.frame[r][1] * toward[1] + at.frame[r][2] * toward[2];
-    const Lanes seen = most(wi[2], all(0)) * load(g.through + m * g.n + v);
+    const Lanes seen = most(wi[2], all(0)) * (g.through ? load(g.through + m * g.n + v) : all(1));
     if (!any(seen > 0)) return;
     alignas(64) float lit[LANES], along[LANES], around[LANES];
     alignas(64) int32_t first[LANES];
@@ -403,6 +413,19 @@ extern "C" int32_t ptt_shine(const Shine *given) {
         for (int64_t p = g.points * t / of; p < g.points * (t + 1) / of; ++p)
             std::memcpy(g.out + 3 * p, g.line + 3 * g.place[p], 3 * sizeof(float));
     }
+    return DONE;
+}
+
+// ptt.ops.gloss.reflected_lamps
+extern "C" int32_t ptt_reflected_lamps(const ReflectedLamps *given) {
+    const ReflectedLamps g = *given;
+    in_parallel(g.n / LANES, g.threads, [=](int64_t group) {
+        Stand at;
+        alignas(64) float sums[LANES][CHANNELS] = {};
+        stand(g, group * LANES, at);
+        for (int64_t m = 0; m < g.sources; ++m) lamp(g, group * LANES, at, m, sums);
+        for (int l = 0; l < LANES; ++l) std::memcpy(g.out + 3 * (group * LANES + l), sums[l], 3 * sizeof(float));
+    });
     return DONE;
 }
 

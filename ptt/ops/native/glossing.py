@@ -196,6 +196,82 @@ _shine = operator(
     fake=lambda position, frame, place, *others: position.new_empty(len(place), 3),
 )
 
+# What is reflected of lamps alone
+
+
+@inlined
+def reflected_lamps(
+    position: Tensor,
+    frame: Tensor,
+    eye: Tensor,
+    values: Tensor,
+    lamps: Tensor,
+    powers: Tensor,
+    through: Tensor | None = None,
+) -> Tensor:
+    """B (n, c), as `ptt.ops.gloss.reflected_lamps`."""
+    result: Tensor = _reflected_lamps(position, frame, eye, values, lamps, powers, through)
+    return result
+
+
+def _reflected_conditions(
+    position: Tensor,
+    frame: Tensor,
+    eye: Tensor,
+    values: Tensor,
+    lamps: Tensor,
+    powers: Tensor,
+    through: Tensor | None,
+) -> Conditions:
+    n = position.shape[1]
+    yield of_type(torch.float32, position, frame, eye, values, lamps, powers), "points and lamps must be float32"
+    yield contiguous(position, frame, values), "points and values must be contiguous"
+    yield position.shape == (3, n) and n % GROUP == 0, f"position must be (3, n), n a multiple of {GROUP}"
+    yield frame.shape == (3, 3, n), "frame must be (3, 3, n)"
+    yield eye.shape in ((3,), (3, n)), "eye must be (3,) or (3, n)"
+    yield values.shape == (TILTS, RINGS, SECTORS, 3), f"values must be ({TILTS}, {RINGS}, {SECTORS}, 3)"
+    yield lamps.shape == powers.shape == (len(lamps), 3), "lamps and powers must be (m, 3)"
+    if through is not None:
+        yield of_type(torch.float32, through) and contiguous(through), "what is seen must be float32, contiguous"
+        yield through.shape == (len(lamps), n), "what is seen of lamps must be (m, n)"
+
+
+def _reflected_kernel(
+    position: Tensor,
+    frame: Tensor,
+    eye: Tensor,
+    values: Tensor,
+    lamps: Tensor,
+    powers: Tensor,
+    through: Tensor | None,
+) -> Tensor:
+    out = position.new_empty(position.shape[1], 3)
+    run(
+        "reflected_lamps",
+        position=position,
+        frame=frame,
+        eye=eye.contiguous(),
+        values=values,
+        lamps=lamps.contiguous(),
+        powers=powers.contiguous(),
+        through=through,
+        out=out,
+        n=len(out),
+        sources=len(lamps),
+        distant=eye.ndim == 2,
+    )
+    return out
+
+
+_reflected_lamps = operator(
+    "reflected_lamps(Tensor position, Tensor frame, Tensor eye, Tensor values, Tensor lamps, Tensor powers, "
+    "Tensor? through) -> Tensor",
+    plain=lambda *arguments: plain.reflected_lamps(*arguments),
+    kernel=_reflected_kernel,
+    conditions=_reflected_conditions,
+    fake=lambda position, frame, eye, values, *others: position.new_empty(position.shape[1], values.shape[3]),
+)
+
 # How much of lamps is seen
 
 

@@ -96,6 +96,14 @@ struct Shine {
     int32_t threads;
 };
 
+struct ReflectedLamps {
+    const float *position, *frame, *eye, *values, *lamps, *powers;
+    const float *through;  // (sources, n), null where all of every lamp is seen
+    float *out;            // (n, 3)
+    int64_t n, sources;
+    int32_t distant, threads;
+};
+
 struct LampVisibility {
     const int32_t *visible;      // (words, n)
     const int64_t *cells;        // (sources, each)

@@ -220,6 +220,21 @@ def test_gradients_pass() -> None:
     assert table.grad is not None and table.grad.isfinite().all()
 
 
+@pytest.mark.parametrize("distant", [False, True])
+@pytest.mark.parametrize("hidden", [False, True])
+@pytest.mark.parametrize("lamps", [0, 1, 9])
+def test_reflected_lamps_agree(built: None, lamps: int, hidden: bool, distant: bool) -> None:
+    x = inputs(1, lamps, distant=distant)
+    given = (x.points.position, x.points.frame, x.eye, x.gloss.values, x.light.lamps, x.light.powers)
+    through = x.light.through if hidden else None
+    with native.refusals() as found:
+        got = native.reflected_lamps(*given, through)
+    assert not found
+    expected = plain.reflected_lamps(*(t.double() for t in given), None if through is None else through.double())
+    assert got.shape == expected.shape
+    torch.testing.assert_close(got.double(), expected, rtol=1e-3, atol=1e-3)  # values of noise
+
+
 @pytest.mark.parametrize(("lamps", "each"), [(0, 0), (1, 1), (9, 13)])
 def test_lamp_visibility_agrees(built: None, lamps: int, each: int) -> None:
     g = torch.Generator().manual_seed(lamps)

@@ -124,6 +124,9 @@ def shine() -> None:
     for lamps, other in ((0, None), (2, around)):
         light = GlossLight(maps, torch.eye(3), uniform(lamps, 3), uniform(lamps, 3), uniform(lamps, n))
         native.shine(surface, torch.tensor([0.2, 0.4, 5.0]), seen, gloss, light, other, uniform(3, n))
+    lit = (frame, torch.tensor([0.2, 0.4, 5.0]), uniform(TILTS, RINGS, SECTORS, 3), uniform(2, 3), uniform(2, 3))
+    native.reflected_lamps(surface.position, *lit)
+    native.reflected_lamps(surface.position, *lit, uniform(2, n))
     native.lamp_visibility(seen, torch.arange(8).reshape(2, 4), uniform(2, 4))
     native.cell_sums(uniform(3, 3, 40), uniform(6, 40, 3), 4)
 
