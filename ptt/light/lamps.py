@@ -35,7 +35,7 @@ class Lamps(NamedTuple):
         return cls(like.new_zeros(0, 3), like.new_zeros(0, 3), like.new_zeros(0, 0, 3), like.new_zeros(0, 0))
 
     def irradiance(self, normal: Tensor, through: Tensor | None = None) -> Tensor:
-        """What arrives at points with normals (3, n), of which they see some of each lamp (m, n), None for all (n, c)."""
+        """What arrives (n, c) at points with normals (3, n) that see some of each lamp (m, n), None for all of it."""
         cosine = (self.directions @ normal).clamp(min=0)
         return (cosine if through is None else cosine * through).T @ self.powers
 

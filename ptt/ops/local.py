@@ -110,8 +110,8 @@ def narrow_brdf(
     """F (o, n) of a BRDF with a lobe narrower than triangles, for some directions of `HemiOctahedral(views)` (o,).
 
     Half vectors near the normal, up to the width of a triangle, are those of a quadrature that resolves lobes there
-    (`ops.albedo.lobe_nodes`), each in the triangle of its direction; what is left is sampled as by `brdf`. At level 2 the
-    samples of GGX of roughness 0.2 reflect 17 % too much or too little, RMS over views; this 0.3 %.
+    (`ops.albedo.lobe_nodes`), each in the triangle of its direction; what is left is sampled as by `brdf`. At level 2
+    the samples of GGX of roughness 0.2 reflect 17 % too much or too little, RMS over views; this 0.3 %.
     """
     wo = HemiOctahedral(views).directions().reshape(-1, 3)[rows]
     near = _nearness(grid.level)

@@ -81,8 +81,8 @@ def test_a_brighter_light_is_brighter_by_its_factor(make: Callable[[bool], Relig
 
 
 def test_eager_adds_lights(make: Callable[[bool], Relighter]) -> None:
-    """To 1e-5; kernels round what points send out, and light, to 16 bits, which shows in a sum. What is taken for a lamp
-    depends on the map around it, so that a sum has others, where they are kept apart."""
+    """To 1e-5; kernels round what points send out, and light, to 16 bits, which shows in a sum. What is taken for a
+    lamp depends on the map around it, so that a sum has others, where they are kept apart."""
     relighter = make(False)
     lamp = ptt.Environment.area_light((0.2, 0.9, -0.4), 30.0, (1.0, 2.0, 0.5))
     rounded = isinstance(relighter, ptt.TripleProductRelighter) and relighter.storage != torch.float32
