@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize, pad
 
-from ptt.ops.constants import HEAD_ON, LEVELS, RINGS, SECTORS, SHARPEST, TILTS, TINY
+from ptt.ops.constants import HEAD_ON, LEVELS, PARTS, RINGS, ROW, SECTORS, SHARPEST, TILTS, TINY
 from ptt.ops.transforms import beneath, outside
 
 NARROWEST = 3.5  # degrees that the lobe of level 1 covers (three standard deviations); that of level 0 is a cell
@@ -192,7 +192,7 @@ def _table(found: Tensor) -> Tensor:
 
 
 def _as_one_lobe(found: Tensor, turns: int) -> Tensor:
-    """All lobes as one (TILTS, SENT), of the mean azimuth: a table as in `Lobes`, and a zero."""
+    """All lobes as one (TILTS, ROW), of the mean azimuth: a table as in `Lobes`, and a zero."""
     table = _table(found.sum(1, keepdim=True))[:, 0]
     return pad(table.unflatten(0, (turns, TILTS)).mean(0), (0, 1))
 
@@ -259,22 +259,32 @@ class Gloss(NamedTuple):
 
     lobes: of all light but lamps
     values (turns * tilts, rings, sectors, c): the root of f for lamps
-    whole (TILTS, SENT): all of it as one lobe
+    whole (TILTS, ROW): all of it as one lobe; parts (TILTS, PARTS, ROW): as a few
     sharp: says whether half of what it reflects lies so close to the mirror direction that lamps are seen as areas
     """
 
     lobes: Lobes
     values: Tensor
     whole: Tensor
+    parts: Tensor
     sharp: bool
 
 
 def gloss_of(reflects: Reflects, isotropic: bool, n: int | None = None, sums: CellSums = cell_sums) -> Gloss:
     """The tables of a material, with n lobes, None for `enough`; differentiable in f."""
     samples = sampled(reflects, isotropic)
-    found = sums(outside(nodes, 1).mirrored, samples.reflected, n or enough(samples))
+    mirrored = outside(nodes, 1).mirrored
+    found = sums(mirrored, samples.reflected, n or enough(samples))
     lobes = Lobes(_table(found), samples.turns)
-    return Gloss(lobes, roots(samples), _as_one_lobe(found, samples.turns), is_sharp(samples))
+    whole = _as_one_lobe(found, samples.turns)
+    parts = pad(_table(sums(mirrored, samples.reflected, PARTS)), (0, 1)) if isotropic else in_parts(whole)
+    return Gloss(lobes, roots(samples), whole, parts, is_sharp(samples))
+
+
+def in_parts(whole: Tensor) -> Tensor:
+    """One lobe (TILTS, ROW) in place of `PARTS` (TILTS, PARTS, ROW): the others reflect nothing."""
+    rest = whole[:, None].expand(-1, PARTS - 1, -1) * (torch.arange(ROW, device=whole.device) < 4)
+    return torch.cat((whole[:, None], rest), 1)
 
 
 def roots(samples: Samples) -> Tensor:

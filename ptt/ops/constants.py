@@ -50,15 +50,28 @@ MET = MEETS * MEETS * 3 // 2
 NORMAL = 127
 """The number that stands for 1 in the signed bytes of a normal."""
 
+NOTHING = -128
+"""What stands in these bytes where nothing is met."""
+
 SPREAD = 9.5
 """The level that a lobe as wide as all of a material together would have, 66 degrees, from which what they see of
 surfaces goes over to the mean of all that a point sees, within one level."""
 
+PARTS = 4
+"""Lobes by which what a point sees of others reflects, where much of what the point reflects comes from there."""
+
+CLOSE = 0.05
+"""The share of what a point reflects from which a surface seen by one lobe reflects by `PARTS` in place of one, and by
+all of them from twice as much."""
+
 RECORD = 16
 """Numbers of a point as others see it: they fill a cache line, of which 11 are used."""
 
-SENT = 8
-"""Numbers that say what a point sends to others, and those of a row of a table of lobes that reflect as one."""
+SENT = 12
+"""Numbers that say what a point sends to others, of which 9 are used."""
+
+ROW = 8
+"""Numbers of a row of a table of lobes by which points reflect to others, of which 7 are used."""
 
 TILE = 4
 """Cells along the edge of a tile of fractional visibility: 16 words of 4 bytes fill a cache line of 64."""

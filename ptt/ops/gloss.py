@@ -13,6 +13,12 @@ sphere of von Mises and Fisher:
 
     B[y, c] = D[y, c] + w[c] (V_y(a, s) E[c](a, s) + (1 - V_y(a, s)) S[y, c] + sum over m of  g(a, s, d_m) V_ym P_m[c])
 
+Where much of what v reflects comes of one y, y reflects by `PARTS` lobes instead, and S is what the point that y sees
+along each of these sends to it, itself as one lobe without surfaces. In an ablation on 500 points of a statue under
+uffizi, gold of roughness 0.2, what v reflects erred by 13.2 % in total with one lobe and S, by 10.2 with one lobe and
+that point, 7.9 with four and S, 5.8 with four and that point, and 4.5 with the exact radiance of every y. Visibility of
+y itself is not what errs: rays from where y is hit, in place of the bits of the vertex, took 10.9 to 10.6.
+
 The wider all lobes of v are together, the more each sees S[v, c] in place of one point. In a trial on a statue under
 uffizi, light that bounced to gold of roughness 0.5, 0.7 and 1 erred by 13, 16 and 17 % without that, with 32 lobes, by
 11, 7 and 6 with it; below 0.4 it changes nothing.
@@ -23,6 +29,7 @@ Sun et al. 2007, section 4.1, has up to four lobes about common axes, of at most
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -32,10 +39,12 @@ from torch.nn.functional import normalize
 from ptt.ops.cells import NARROWEST, Gloss, frames, octaves
 from ptt.ops.constants import (
     BITS,
+    CLOSE,
     HEAD_ON,
     LEVELS,
     MEETS,
     NORMAL,
+    NOTHING,
     SECTORS,
     SHARPEST,
     SPREAD,
@@ -44,7 +53,7 @@ from ptt.ops.constants import (
     WIDE_SIDE,
     WIDEST_SIDE,
 )
-from ptt.ops.octahedral import corners, from_hemi_octahedral, hemi_octahedral, mix, octahedral
+from ptt.ops.octahedral import corners, from_octahedral, hemi_octahedral, mix, octahedral
 from ptt.ops.view import BYTE, SurfaceBlocks, local_directions
 
 SHARES = {10.0: WIDE_SIDE, 20.0: WIDEST_SIDE}
@@ -57,6 +66,11 @@ and maps of 24 x 24 cells for 7, 14 and 28 degrees, of three times the size, 4.3
 
 SHARPNESS = (3 / math.radians(NARROWEST)) ** 2
 """The inverse variance of a lobe of level 1, of which a level more is half."""
+
+BLUR = math.radians(2) ** 2
+"""What the variance of a lobe is larger by where lamps are seen by way of another point, since the normal there is
+right to about so much: in a trial on a statue under grace, gold of roughness 0.2 and 0.3 erred by 65 and 7.1 % without, by
+23 and 9.6 with it, and by 12 and 12 with 3 degrees."""
 
 AT_ONCE = 4096  # points that are worked out together, so that they stay in the cache
 
@@ -81,12 +95,14 @@ class Around(NamedTuple):
 
     mean (3, n): S of each of the n
     meets (n, MET) int32: which point each sees about the axes of a `HemiOctahedral` map, -1 for none, and the normal
-        there, in the frame of that point (`transfer.meets_packed`)
+        there (`transfer.meets_packed`)
     points (p, RECORD): of all: rows of the frame, and, as whole numbers, their rows of `seen` and the first of their
         region's in `tables`; zeros
-    sent (p, SENT): of all: D, S; zeros
+    sent (p, SENT): of all: D, S, D of light that did not bounce before; zeros
     seen (s, words) int32: of all, as for `shine`
-    tables (regions * TILTS, SENT): a, s and w of the lobes that materials reflect as one; zero
+    others (s, MET) int32: `meets` of all, in the order of `seen`; None where light bounces once
+    tables (regions * TILTS, ROW): a, s and w of the lobes that materials reflect as one; zero
+    parts (regions * TILTS, PARTS, ROW): of the same as a few
     maps (LEVELS, cells, 4), lamps (m, 3), powers (m, c): as those of `GlossLight`
     through (s, m): how much of each lamp all see, in the order of `seen`
     """
@@ -96,7 +112,9 @@ class Around(NamedTuple):
     points: Tensor
     sent: Tensor
     seen: Tensor
+    others: Tensor | None
     tables: Tensor
+    parts: Tensor
     maps: Tensor
     lamps: Tensor
     powers: Tensor
@@ -182,7 +200,10 @@ def _shine(gloss: Gloss, light: GlossLight, frame: Tensor, seen: Tensor, wo: Ten
     about = about * through[..., None]
     if around is not None:
         spread = (level - alone(row.shape[1])).clamp(0, 1)[..., None]
-        surfaces = torch.lerp(_from_points(around, frame, axes, light.turn), around.mean.T[:, None], spread)
+        reflected = row[..., 4:].detach().sum(2)
+        much = reflected * (1 - through.detach()) / reflected.sum(1, keepdim=True).clamp(min=TINY)
+        surfaces = _from_points(around, frame, axes, light.turn, ((much - CLOSE) / CLOSE).clamp(0, 1))
+        surfaces = torch.lerp(surfaces, around.mean.T[:, None], spread)
         about = about + surfaces * (1 - through)[..., None]
     out: Tensor = (row[..., 4:] * about).sum(1)
     if not len(light.lamps):
@@ -190,59 +211,139 @@ def _shine(gloss: Gloss, light: GlossLight, frame: Tensor, seen: Tensor, wo: Ten
     return out + _lamps(frame, wo, gloss.values, light.lamps, light.powers, light.through)
 
 
-def _from_points(around: Around, frame: Tensor, axes: Tensor, turn: Tensor) -> Tensor:
+class _Met(NamedTuple):
+    """Points that others see: which (m,), their records (m, RECORD), local normals and directions of view (m, 3)."""
+
+    number: Tensor
+    record: Tensor
+    normal: Tensor
+    wo: Tensor
+
+
+def _from_points(around: Around, frame: Tensor, axes: Tensor, turn: Tensor, close: Tensor) -> Tensor:
     """B (n, k, c) that points (n, ...) see about their local axes (n, k, 3); 0 where they see none.
+
+    close (n, k): how far lobes count in which points are seen as `PARTS` lobes and not as one
 
     What is sent is taken against the axis, not from one vertex to the other, which lie beside where the axis begins and
     ends: in a trial on a statue of gold of roughness 0.2, from one to the other erred by 42 %, this by 25.
     """
-    place = ((hemi_octahedral(axes) + 1) * (MEETS / 2)).floor().clamp(0, MEETS - 1).long()
-    cell = place[..., 1] * MEETS + place[..., 0]
-    pair = 3 * (cell >> 1)
-    met = around.meets.gather(1, pair + (cell & 1)).long()
-    normal = _normals(around.meets.gather(1, pair + 2) >> 16 * (cell & 1).int()).to(axes)
-    of_point = around.points[met.clamp(min=0)]
-    towards = normalize(axes @ frame, dim=-1)  # between rows of a table axes are shorter
-    wo = -(of_point[..., :9].unflatten(-1, (3, 3)) @ towards[..., None])[..., 0]
-    there = torch.nonzero((met >= 0) & ((wo * normal).sum(-1) > 0), as_tuple=True)
-    sent = _as_one_lobe(around, met[there], of_point[there], normal[there], wo[there], turn)
-    return sent.new_zeros(*met.shape, sent.shape[1]).index_put(there, sent)
+    world = axes @ frame
+    close = close if around.others is not None else torch.zeros_like(close)
+    there, met = _met(around, around.meets, axes, world, _normals(around.meets, *_cell(axes)))
+    sent = axes.new_zeros(*axes.shape[:2], around.maps.shape[2] - 1)
+    sent = sent.index_put(there, _as_one_lobe(around, met, turn))
+    if not bool((close > 0).any()):
+        return sent
+    there, met = _met(around, around.meets, axes, world, _between_normals(around.meets, axes), close > 0)
+    parts = torch.zeros_like(sent).index_put(there, _as_parts(around, met, turn))
+    return torch.lerp(sent, parts, close[..., None])
 
 
-def _normals(words: Tensor) -> Tensor:
-    """Normals (n, k, 3) of which the lower half of words (n, k) int32 has the coordinates, a signed byte each."""
-    coordinates = torch.stack(((words << 24) >> 24, (words << 16) >> 24), -1)
-    return normalize(from_hemi_octahedral(coordinates / NORMAL), dim=-1)
+def _met(
+    around: Around, meets: Tensor, axes: Tensor, world: Tensor, normal: Tensor, wanted: Tensor | None = None
+) -> tuple[tuple[Tensor, Tensor], _Met]:
+    """Which points see others (n, MET) about their axes (n, k, 3), local and in the world, that face them by their
+    normals (n, k, 3): their numbers and those of the axes, and what they see.
+
+    wanted (n, k) bool: the axes that are asked for; None for all
+    """
+    pair, second = _cell(axes)
+    number = meets.gather(1, pair + second).long()
+    towards = normalize(world, dim=-1)  # between rows of a table axes are shorter
+    seen = (number >= 0) & ((towards * normal).sum(-1) < 0)
+    there = torch.nonzero(seen if wanted is None else seen & wanted, as_tuple=True)
+    record = around.points[number[there]]
+    frame = record[:, :9].unflatten(1, (3, 3))
+    local = (frame @ torch.stack((normal[there], -towards[there]), 2)).unbind(2)
+    return (there[0], there[1]), _Met(number[there], record, *local)
 
 
-def _as_one_lobe(around: Around, met: Tensor, of_point: Tensor, normal: Tensor, wo: Tensor, turn: Tensor) -> Tensor:
-    """B (m, c) of points by their numbers (m,), their records (m, RECORD), and local normals and directions of view
-    (m, 3).
+def _cell(axes: Tensor) -> tuple[Tensor, Tensor]:
+    """Where the cells of local axes (n, k, 3) lie: the first word of the pair, and which of it."""
+    column, row = ((hemi_octahedral(axes) + 1) * (MEETS / 2)).floor().clamp(0, MEETS - 1).long().unbind(-1)
+    cell = row * MEETS + column
+    return 3 * (cell >> 1), cell & 1
+
+
+def _normals(meets: Tensor, pair: Tensor, second: Tensor) -> Tensor:
+    """Unit normals (n, k, 3) of cells in words (n, MET), 0 where nothing is met."""
+    word = meets.gather(1, pair + 2) >> 16 * second.int()
+    coordinates = torch.stack(((word << 24) >> 24, (word << 16) >> 24), -1)
+    normal = normalize(from_octahedral(coordinates.float() / NORMAL), dim=-1)
+    return torch.where(coordinates[..., :1] == NOTHING, 0.0, normal)
+
+
+def _between_normals(meets: Tensor, axes: Tensor) -> Tensor:
+    """Unit normals (n, k, 3), bilinear between the cells around local axes (n, k, 3) in which something is met.
+
+    In an ablation as above, with four lobes, gold of 0.2 erred by 8.2 % with those of the nearest cells, 6.3 with
+    these, and 6.6 where axes hit.
+    """
+    cells, weights = corners(hemi_octahedral(axes), MEETS, wrap=False)
+    own = [_normals(meets, 3 * (cell >> 1), cell & 1) for cell in cells.unbind(-1)]
+    return normalize(torch.einsum("nkq,qnka->nka", weights, torch.stack(own).to(weights)), dim=-1)
+
+
+def _as_one_lobe(around: Around, met: _Met, turn: Tensor) -> Tensor:
+    """B (m, c) of points that reflect as one lobe, and see the mean of surfaces where the sky is hidden.
 
     The nearest row of the table and the nearest width serve: what comes of many such points is a mean. Normals are
     interpolated: in a trial on a statue of gold of roughness 0.2, 0.3 and 0.5 those of the vertices left 39, 35 and
     12 % of error in light that bounces, these 28, 26 and 10. Under a map with lamps, which are seen or are not, one
     share of visibility for the whole lobe left 50 and 24 % at 0.3 and 0.5, lamps apart leave 30 and 12.
     """
-    cosine = (wo * normal).sum(1, keepdim=True)
-    row = (cosine[:, 0] * (TILTS - 0.5) - 0.5).round().clamp(0, TILTS - 1) + of_point[:, 10]
-    table = around.tables[row.long()]
-    flat = wo - cosine * normal
+    sent = around.sent[met.number]
+    table = around.tables[_rows(met)][:, None]
+    return sent[:, :3] + _reflected(around, met, table, lambda axes, world: sent[:, None, 3:6], turn)
+
+
+def _as_parts(around: Around, met: _Met, turn: Tensor) -> Tensor:
+    """B (m, c) of points that reflect as `PARTS` lobes, each of which sees a point where the sky is hidden."""
+    assert around.others is not None
+    rows = met.record[:, 9].long()
+    others = around.others[rows]
+
+    def next_points(axes: Tensor, world: Tensor) -> Tensor:
+        there, beyond = _met(around, others, axes, world, _normals(others, *_cell(axes)))
+        table = around.tables[_rows(beyond)][:, None]
+        reflected = _reflected(around, beyond, table, lambda axes, world: torch.zeros_like(world), turn)
+        sent = around.sent[beyond.number][:, 6:9] + reflected
+        return torch.zeros_like(world).index_put(there, sent)
+
+    return around.sent[met.number][:, :3] + _reflected(around, met, around.parts[_rows(met)], next_points, turn)
+
+
+def _rows(met: _Met) -> Tensor:
+    """The rows (m,) of tables nearest to directions of view."""
+    cosine = (met.wo * met.normal).sum(1)
+    return ((cosine * (TILTS - 0.5) - 0.5).round().clamp(0, TILTS - 1) + met.record[:, 10]).long()
+
+
+def _reflected(
+    around: Around, met: _Met, table: Tensor, surfaces: Callable[[Tensor, Tensor], Tensor], turn: Tensor
+) -> Tensor:
+    """What points reflect (m, c) by lobes, rows (m, j, ROW) of a table.
+
+    surfaces: gives what is seen of surfaces about axes (m, j, 3), local and in the world
+    """
+    cosine = (met.wo * met.normal).sum(1, keepdim=True)
+    flat = met.wo - cosine * met.normal
     sine = flat.square().sum(1, keepdim=True).clamp(min=HEAD_ON**2).sqrt()
-    along = cosine / sine * flat + sine * normal
-    axis = (table[:, :1] * along + table[:, 2:3] * (cosine * normal - flat))[:, None]  # shape: (m, 1, 3)
-    level = table[:, None, 3].detach().round()
-    row_seen = of_point[:, 9].long()
-    through = visible(around.seen[row_seen], axis, level) * (axis[..., 2] > 0)
-    world = axis @ of_point[:, :9].unflatten(-1, (3, 3))
-    lit = blurred(around.maps, world @ turn, level)[:, 0]
-    dull, mean = around.sent[met][:, :3], around.sent[met][:, 3:6]
-    reflected = torch.lerp(mean, lit, through)
+    along = cosine / sine * flat + sine * met.normal
+    across = torch.linalg.cross(met.normal, flat / sine)
+    mirror = cosine * met.normal - flat
+    axes = table[..., :3] @ torch.stack((along, across, mirror), 1)  # shape: (m, j, 3)
+    level = table[..., 3].detach().round()
+    row_seen = met.record[:, 9].long()
+    through = (visible(around.seen[row_seen], axes, level) * (axes[..., 2] > 0))[..., None]
+    world = axes @ met.record[:, :9].unflatten(-1, (3, 3))
+    light = torch.lerp(surfaces(axes, world), blurred(around.maps, world @ turn, level), through)
     if len(around.lamps):
-        about = SHARPNESS * torch.exp2(1 - level)  # shape: (m, 1)
-        lobe = about / (2 * math.pi) * torch.exp(about * ((world @ around.lamps.T)[:, 0] - 1))
-        reflected = reflected + (lobe * around.through[row_seen]) @ around.powers
-    return dull + table[:, 4:7] * reflected
+        about = 1 / (torch.exp2(level - 1)[..., None] / SHARPNESS + BLUR)
+        lobe = about / (2 * math.pi) * torch.exp(about * (world @ around.lamps.T - 1))
+        light = light + (lobe * around.through[row_seen][:, None]) @ around.powers
+    return (table[..., 4:7] * light).sum(1)
 
 
 def blurred(maps: Tensor, axes: Tensor, level: Tensor) -> Tensor:

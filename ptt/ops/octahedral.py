@@ -38,6 +38,13 @@ def octahedral(d: Tensor) -> Tensor:
     return _last(_folded(*_on_octahedron(d)))
 
 
+def from_octahedral(ab: Tensor) -> Tensor:
+    """Directions (..., 3) of |x| + |y| + |z| = 1 at coordinates (a, b) (..., 2) on the map of the sphere."""
+    a, b = ab.unbind(-1)
+    z = 1 - a.abs() - b.abs()
+    return _last((*_folded(a, b, z), z))
+
+
 def hemi_octahedral(d: Tensor) -> Tensor:
     """Coordinates (a, b) (..., 2) on the map of the hemisphere of directions d (..., 3), which need not be unit.
 
@@ -158,8 +165,7 @@ class Octahedral(_OctahedralGrid):
         return octahedral(d)
 
     def _octahedron_points(self, b: Tensor, a: Tensor) -> Tensor:
-        z = 1 - a.abs() - b.abs()
-        return torch.stack((*_folded(a, b, z), z), dim=-1)
+        return from_octahedral(torch.stack((a, b), -1))
 
 
 @dataclass(frozen=True)

@@ -245,8 +245,8 @@ def _projected(m: int, samples: int) -> Tensor:
 
 
 def _dense(f: BRDF, m: int, wo: Tensor, angles: Tensor) -> Iterator[Tensor]:
-    """Slices (twists, b, M) in texels, float32, for twists by some angles (twists,) [rad] and directions of view (v, 3),
-    in blocks of these."""
+    """Slices (twists, b, M) in texels, float32, for twists by some angles (twists,) [rad] and directions of view
+    (v, 3), in blocks of these."""
     samples = _samples(m)
     narrow = is_missed(f, lambda some: _texels(f, some.float(), samples, m).sum(1))
     for some in wo.split(_VIEWS):
@@ -259,8 +259,8 @@ def _dense(f: BRDF, m: int, wo: Tensor, angles: Tensor) -> Iterator[Tensor]:
 
 
 class _Incident(NamedTuple):
-    """Samples of light: directions (..., s, 3), cosines times solid angles (..., s), their cells, and the shares of these
-    (..., s, 4)."""
+    """Samples of light: directions (..., s, 3), cosines times solid angles (..., s), their cells, and the shares of
+    these (..., s, 4)."""
 
     wi: Tensor
     weights: Tensor

@@ -17,8 +17,8 @@ import torch
 from torch import Tensor
 
 from ptt.ops import lobes
-from ptt.ops.constants import NORMAL, TINY
-from ptt.ops.octahedral import HemiOctahedral, hemi_octahedral, sampled
+from ptt.ops.constants import NORMAL, NOTHING
+from ptt.ops.octahedral import HemiOctahedral, octahedral, sampled
 from ptt.ops.raycast import Hits, Surface
 from ptt.ops.sphere import Cube
 
@@ -62,7 +62,7 @@ def gather(surface: Surface, faces: Tensor, points: Tensor, frames: Tensor, loca
 
 def meets(surface: Surface, faces: Tensor, shading: Tensor, points: Tensor, frames: Tensor, local: Tensor) -> Tensor:
     """What each point sees in each local direction (n, 3), n even: (v, 3 n / 2) int32, as `meets_packed`: the vertex,
-    the nearest of the triangle, and the normal, interpolated between vertices, in the frame of that one.
+    the nearest of the triangle, and the normal in the world, interpolated between vertices.
 
     surface, faces, points, frames: as for `gather`; back faces show nothing
     shading (p, 3, 3): frames of all vertices
@@ -71,21 +71,20 @@ def meets(surface: Surface, faces: Tensor, shading: Tensor, points: Tensor, fram
     met = _corners(faces, hits, hits.barycentric.argmax(1))
     corner_normals = shading[faces[hits.triangle.clamp(min=0)], 2]  # shape: (v * n, 3, 3)
     normal = (hits.barycentric[:, None].to(shading) @ corner_normals)[:, 0]
-    own = (shading[met.clamp(min=0).long()] @ normal[..., None])[..., 0]
-    own[:, 2].clamp_(min=TINY)
-    own[met < 0] = own.new_tensor([0.0, 0.0, 1.0])
     seen = len(points), len(local)
-    return meets_packed(met.reshape(seen), own.reshape(*seen, 3))
+    return meets_packed(met.reshape(seen), normal.reshape(*seen, 3))
 
 
 def meets_packed(met: Tensor, normals: Tensor) -> Tensor:
-    """Vertices (v, n) int32, -1 for none, and normals (v, n, 3) in their frames, upright for none, as words
-    (v, 3 n / 2) int32: of two directions the vertices, and then the normals, in two signed bytes each.
+    """Vertices (v, n) int32, -1 for none, and normals (v, n, 3) there, as words (v, 3 n / 2) int32: of two directions
+    the vertices, and then the normals, in two signed bytes each.
 
-    Bytes are 127ths of coordinates on the map of the hemisphere (`hemi_octahedral`), right to 0.6 degrees.
+    Bytes are 127ths of coordinates on the map of the sphere (`octahedral`), right to 0.9 degrees, `NOTHING` for none.
     """
     v, n = met.shape
-    coordinates = (hemi_octahedral(normals) * NORMAL).round().to(torch.int8)
+    up = normals.new_tensor([0.0, 0.0, 1.0])
+    coordinates = (octahedral(torch.where(met[..., None] < 0, up, normals)) * NORMAL).round()
+    coordinates = torch.where(met[..., None] < 0, NOTHING, coordinates).to(torch.int8)
     words = coordinates.flatten().view(torch.int32).reshape(v, n // 2, 1)
     return torch.cat((met.reshape(v, n // 2, 2), words), 2).reshape(v, n // 2 * 3)
 

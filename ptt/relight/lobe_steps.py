@@ -27,9 +27,9 @@ from ptt.models.clustered_transfer import ClusteredTransfer
 from ptt.models.indirect import COARSE, COARSEST
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import haar
-from ptt.ops.cells import Gloss, gloss_of, width
+from ptt.ops.cells import Gloss, gloss_of, in_parts, width
 from ptt.ops.compiling import in_python, opaque, uncompiled
-from ptt.ops.constants import LEVELS, RECORD, SENT, TILTS, TINY
+from ptt.ops.constants import LEVELS, RECORD, ROW, SENT, TILTS, TINY
 from ptt.ops.gloss import Around, GlossLight
 from ptt.ops.relight import expand
 from ptt.ops.sphere import Cube
@@ -74,12 +74,13 @@ class LobeLayer(NamedTuple):
 
 class LobeMaterial(NamedTuple):
     """A region's material: its part of H (1 + p + 1, c), its layers, the base colour (n, c) of its points, None for
-    white, and all of it that is glossy as one lobe (TILTS, SENT)."""
+    white, and all of it that is glossy as one lobe (TILTS, ROW), and as a few (TILTS, PARTS, ROW)."""
 
     functions: Tensor
     layers: list[LobeLayer]
     colour: Tensor | None
     whole: Tensor
+    parts: Tensor
 
 
 class LobeRegion(NamedTuple):
@@ -100,6 +101,7 @@ class LobeSteps(nn.Module):
     keep: Tensor
     records: Tensor
     seen: Tensor
+    others: Tensor | None
 
     def __init__(self, model: TransferModel, compiled: bool, lobes: int | None) -> None:
         super().__init__()
@@ -122,6 +124,7 @@ class LobeSteps(nn.Module):
             "keep": keep,
             "records": self._records(),
             "seen": seen[0] if len(seen) == 1 else torch.cat(seen),
+            "others": self._others(model),
         }
         for name, tensor in tensors.items():
             self.register_buffer(name, tensor, persistent=False)
@@ -130,6 +133,14 @@ class LobeSteps(nn.Module):
             points.register_buffer("hidden", 1 - self._sky(region, even), persistent=False)
         self._materials = [Cache() for _ in model.clustered]
         self._glosses = Cache(MOST_GLOSSES)
+
+    @staticmethod
+    def _others(model: TransferModel) -> Tensor | None:
+        """What all points see of each other, in the order of `seen`; None where light does not bounce twice."""
+        meets = [region.meets for region in model.clustered]
+        if model.bounces < 2:
+            return None
+        return meets[0] if len(meets) == 1 else torch.cat(meets)
 
     def _records(self) -> Tensor:
         """The points as others see them (v, RECORD) (`ops.gloss.Around`)."""
@@ -199,7 +210,7 @@ class LobeSteps(nn.Module):
         functions = slots.functions_of(self.basis, material, coloured, not isinstance(own, Material))
         layer = self._layer(material, None)
         colour = self.points[region].colour
-        return LobeMaterial(functions, [layer], None if colour is None else colour.T, _whole([layer], [1.0]))
+        return LobeMaterial(functions, [layer], None if colour is None else colour.T, *_to_others([layer], [1.0]))
 
     def _varying(self, region: int, material: Varying, own: SurfaceMaterial) -> LobeMaterial:
         """The tables of a material that varies: the layers of which there are some, each with its shares."""
@@ -213,7 +224,7 @@ class LobeSteps(nn.Module):
                 layers.append(self._layer(layer, blocks.in_line(share).T))
                 means.append(share.mean(0))
         functions = varying_functions(self.model, region, material, own, at, shares)
-        return LobeMaterial(functions, layers, blocks.in_line(at.colour.to(shares)).T, _whole(layers, means))
+        return LobeMaterial(functions, layers, blocks.in_line(at.colour.to(shares)).T, *_to_others(layers, means))
 
     def _layer(self, material: Material, share: Tensor | None) -> LobeLayer:
         albedo = material.diffuse.to(self.basis.table) / math.pi
@@ -224,7 +235,8 @@ class LobeSteps(nn.Module):
             lambda: gloss_of(material.glossy, material.isotropic, self.count, self._operations.cell_sums),
         )
         lobes = made.lobes._replace(table=made.lobes.table.to(albedo))
-        gloss = Gloss(lobes, made.values.to(albedo), made.whole.to(albedo), made.sharp)
+        whole, parts = made.whole.to(albedo), made.parts.to(albedo)
+        gloss = Gloss(lobes, made.values.to(albedo), whole, parts, made.sharp)
         return LobeLayer(albedo, gloss, share)
 
     @uncompiled
@@ -245,9 +257,11 @@ class LobeSteps(nn.Module):
             means.append(mean.T.contiguous())
         others = (
             self.records,
-            pad(torch.cat(sent), (0, SENT - 6)),
+            pad(torch.cat(sent), (0, SENT - 9)),
             self.seen,
+            self.others,
             torch.cat([material.whole for material in tables]),
+            torch.cat([material.parts for material in tables]),
             light.split.rest.maps,
             light.split.lamps.directions,
             light.split.lamps.powers,
@@ -267,7 +281,8 @@ class LobeSteps(nn.Module):
         self, region: int, light: LobeLight, material: LobeMaterial, h: Tensor, pairs: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         """What points in blocks send out diffusely (n, c), what others see of it and of what lies around them, of light
-        that bounced once less (n, 2 c), and the mean of the surfaces that they see (n, c) (`ops.gloss.Around`).
+        that bounced once less, and of it where no light bounces (n, 3 c), and the mean of the surfaces that they see
+        (n, c) (`ops.gloss.Around`).
 
         h (c, q), pairs (c, pairs): H of the slots that light them, and its products
         """
@@ -275,14 +290,14 @@ class LobeSteps(nn.Module):
         once = math.sqrt(math.pi) * (h[:, None] @ one)[:, :, 0]
         both = once + math.sqrt(math.pi) * (pairs[:, None] @ two)[:, :, 0]
         before = once if self.model.bounces == 2 else torch.zeros_like(once)
-        eigen = torch.stack((direct + both, direct + before, both, before), 3)
-        whole, less, *bounced = self._at_points(self.model.clustered[region], eigen).unbind(2)
+        eigen = torch.stack((direct + both, direct + before, direct, both, before), 3)
+        *arriving, both, before = self._at_points(self.model.clustered[region], eigen).unbind(2)
         albedo = sum(_some(layer.albedo, layer.share) for layer in material.layers)
         albedo = albedo if material.colour is None else albedo * material.colour
-        diffuse = [albedo * (each + light.of_lamps[region]) for each in (whole, less)]
+        whole, less, direct = (albedo * (each + light.of_lamps[region]) for each in arriving)
         hidden = math.pi * self.points[region].get_buffer("hidden")
-        mean = [each.clamp(min=0) / hidden for each in bounced]
-        return diffuse[0], torch.cat((diffuse[1], mean[1]), 1), mean[0]
+        mean, mean_less = (each.clamp(min=0) / hidden for each in (both, before))
+        return whole, torch.cat((less, mean_less, direct), 1), mean
 
     def _surface(self, region: int) -> SurfaceBlocks:
         points, own = self.points[region], self.model.clustered[region]
@@ -341,18 +356,17 @@ def _some(values: Tensor, share: Tensor | None) -> Tensor:
     return values if share is None else values * share
 
 
-def _whole(layers: Sequence[LobeLayer], shares: Sequence[Tensor | float]) -> Tensor:
-    """What is glossy of layers, by mean shares (c,), as one lobe (TILTS, SENT)."""
-    tables = [
-        (layer.gloss.whole, share) for layer, share in zip(layers, shares, strict=True) if layer.gloss is not None
-    ]
+def _to_others(layers: Sequence[LobeLayer], shares: Sequence[Tensor | float]) -> tuple[Tensor, Tensor]:
+    """What is glossy of layers, by mean shares (c,), as one lobe (TILTS, ROW) and as a few (TILTS, PARTS, ROW); of
+    several layers these are that one."""
+    glossy = [(layer.gloss, share) for layer, share in zip(layers, shares, strict=True) if layer.gloss is not None]
+    if len(glossy) == 1 and isinstance(glossy[0][1], float):
+        return glossy[0][0].whole, glossy[0][0].parts
     albedo = layers[0].albedo
-    mirror = torch.cat((albedo.new_tensor([0.0, 0.0, 1.0]), albedo.new_zeros(SENT - 3))).expand(TILTS, -1)
-    if not tables:
-        return mirror
-    if len(tables) == 1 and isinstance(tables[0][1], float):
-        return tables[0][0]
-    weights = torch.stack([table[:, 4:7] * share for table, share in tables])  # shape: (k, t, c)
-    mass = weights.sum(2, keepdim=True).clamp(min=TINY)
-    lobes = (torch.stack([table[:, :4] for table, _ in tables]) * mass).sum(0) / mass.sum(0)
-    return pad(torch.cat((normalize(lobes[:, :3], dim=1), lobes[:, 3:], weights.sum(0)), 1), (0, 1))
+    whole = torch.cat((albedo.new_tensor([0.0, 0.0, 1.0]), albedo.new_zeros(ROW - 3))).expand(TILTS, -1)
+    if glossy:
+        weights = torch.stack([gloss.whole[:, 4:7] * share for gloss, share in glossy])  # shape: (k, t, c)
+        mass = weights.sum(2, keepdim=True).clamp(min=TINY)
+        lobes = (torch.stack([gloss.whole[:, :4] for gloss, _ in glossy]) * mass).sum(0) / mass.sum(0)
+        whole = pad(torch.cat((normalize(lobes[:, :3], dim=1), lobes[:, 3:], weights.sum(0)), 1), (0, 1))
+    return whole, in_parts(whole)

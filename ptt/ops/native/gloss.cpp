@@ -17,7 +17,7 @@ constexpr int COLUMNS = 7;   // of a lobe: along, across, mirror, level, and w o
 constexpr int WIDE_FROM = BITS * BITS / 8;  // bytes of what a point sees
 constexpr int WIDEST_FROM = WIDE_FROM + WIDE_SIDE * WIDE_SIDE;
 constexpr int SEEN = WIDEST_FROM + WIDEST_SIDE * WIDEST_SIDE;
-constexpr int RING = 3 * SECTORS, ROW = RINGS * RING;  // numbers of f
+constexpr int RING = 3 * SECTORS, WHOLE = RINGS * RING;  // numbers of f
 
 // Of a lobe of a group of points
 struct Lobe {
@@ -164,7 +164,7 @@ static inline void light_at(const float *maps, int map, const Lanes *d, Ints lev
 // What comes of lamps in lobes about axes in the world, of points that are rows of `near_through`
 // (ptt.ops.gloss._as_one_lobe)
 static inline void lamps_in(const Shine &g, const Lanes *axis, Ints level, Ints row, Lanes *e) {
-    const Lanes about = g.sharpness * (Lanes)((128 - level) << 23), peak = about * 0.159154943f;
+    const Lanes about = 1.0f / ((Lanes)((126 + level) << 23) / g.sharpness + g.blur), peak = about * 0.159154943f;
     for (int64_t m = 0; m < g.near_sources; ++m) {
         const float *d = g.near + 3 * m, *power = g.near_powers + 3 * m;
         const Lanes cosine = axis[0] * d[0] + axis[1] * d[1] + axis[2] * d[2];
@@ -181,6 +181,13 @@ static inline void ask(const void *p, Ints offset) {
     for (int32_t o : i) __builtin_prefetch((const char *)p + o);
 }
 
+// Where what is met lies about axes on maps of the hemisphere: the first word of the pair of cells, and which of it.
+static inline void cell_of(Lanes a, Lanes b, Ints &pair, Ints &second) {
+    const Ints column = clamp(whole((a + 1.0f) * (0.5f * MEETS)), MEETS - 1);
+    const Ints row = clamp(whole((b + 1.0f) * (0.5f * MEETS)), MEETS - 1);
+    pair = (row * MEETS + column) / 2 * 3, second = column & 1;
+}
+
 // How much of the sky a group sees by each lobe; asks for what hides the rest.
 static inline void see(const Shine &g, int64_t v, int64_t later, Look &at) {
     for (int k = 0; k < g.lobes; ++k) {
@@ -188,83 +195,212 @@ static inline void see(const Shine &g, int64_t v, int64_t later, Look &at) {
         Lobe &lobe = at.lobes[k];
         lobe.seen = visible(g.seen + v * SEEN, lane() * SEEN, lobe.a, lobe.b, lobe.level);
         if (!g.meets || !any((1.0f - lobe.seen > CLEAR) & (lobe.level < g.alone + 1))) continue;
-        const Ints column = clamp(whole((lobe.a + 1.0f) * (0.5f * MEETS)), MEETS - 1);
-        const Ints row = clamp(whole((lobe.b + 1.0f) * (0.5f * MEETS)), MEETS - 1);
-        lobe.pair = lane() * MET + (row * MEETS + column) / 2 * 3, lobe.second = column & 1;
+        cell_of(lobe.a, lobe.b, lobe.pair, lobe.second);
+        lobe.pair += lane() * MET;
         ask(g.meets + v * MET, 4 * lobe.pair);
     }
 }
 
-// What a group sees about the axis of a lobe of other points, step by step as memory gives it: which they are, where
-// they are there, and their normals, in their frames; along which axis they reflect as one lobe, on maps of their
-// hemispheres, its height above their horizons, and in the world, and the rows of what they see.
+// Points that a group sees, and their normals in the world, of unit directions from them to the group in the world.
+struct Met {
+    Ints there, point;
+    Lanes normal[3], wo[3];
+};
+
+// The unit normal of cells, 0 where nothing is met (ptt.ops.gloss._normals).
+static inline void normal_of(const int32_t *meets, Ints pair, Ints second, Lanes *normal) {
+    const Ints word = (Ints)gather((const float *)meets + 2, pair) >> 16 * second;
+    const Ints i = word << 24 >> 24, j = word << 16 >> 24;
+    const Lanes a = real(i) * (1.0f / NORMAL), b = real(j) * (1.0f / NORMAL), z = 1.0f - size(a) - size(b);
+    const Lanes x = z < 0 ? signed_as(1.0f - size(b), a) : a, y = z < 0 ? signed_as(1.0f - size(a), b) : b;
+    const Lanes scale = i == NOTHING ? all(0) : 1.0f / root(x * x + y * y + z * z);
+    normal[0] = x * scale, normal[1] = y * scale, normal[2] = z * scale;
+}
+
+// The same, bilinear between cells about (a, b) (ptt.ops.gloss._between_normals).
+static inline void between_normals(const int32_t *meets, Ints from, Lanes a, Lanes b, Lanes *normal) {
+    const Place p = place(a, b, MEETS);
+    Lanes corner[4][3], mean[3];
+    for (int k = 0; k < 4; ++k) {
+        const Ints column = p.column + (k & 1), cell = (p.row + (k >> 1)) * MEETS + column;
+        normal_of(meets, from + cell / 2 * 3, column & 1, corner[k]);
+    }
+    for (int c = 0; c < 3; ++c) {
+        const Lanes e[4] = {corner[0][c], corner[1][c], corner[2][c], corner[3][c]};
+        mean[c] = blend(e, p.x, p.y);
+    }
+    const Lanes length = root(mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2]);
+    for (int c = 0; c < 3; ++c) normal[c] = mean[c] / most(length, all(TINY));
+}
+
+// A lobe by which a group of met points reflects: its axis, local as (a, b) and height, and in the world; its level,
+// and w of each channel.
+struct Part {
+    Lanes a, b, height, axis[3], w[3];
+    Ints level;
+};
+
+// Of met points: their rows of what all see and of tables, and unit frames, rows in the world.
+struct Records {
+    Lanes frame[9];
+    Ints row, table;
+};
+
+// (ptt.ops.gloss._rows)
+static inline void records_of(const Shine &g, const Met &met, Records &of) {
+    Lanes record[12];
+    for (int i = 0; i < 12; i += 4) gather_four(g.records + i, met.point * RECORD, record + i);
+    for (int i = 0; i < 9; ++i) of.frame[i] = record[i];
+    const Lanes cosine = met.normal[0] * met.wo[0] + met.normal[1] * met.wo[1] + met.normal[2] * met.wo[2];
+    const Lanes tilt = least(most(cosine * (TILTS - 0.5f) - 0.5f, all(0)), all(TILTS - 1));
+    of.row = whole(record[9]), of.table = whole(tilt + 0.5f) + whole(record[10]);
+}
+
+// A lobe of a row of a table (ptt.ops.gloss._reflected).
+static inline void part_of(const Shine &g, const Met &met, const Records &of, const float *tables, Ints at, Part &p) {
+    Lanes t[8], flat[3], across[3], local[3], square = all(0), cosine = all(0);
+    for (int i = 0; i < 8; i += 4) gather_four(tables + i, at, t + i);
+    const Lanes *n = met.normal;
+    for (int c = 0; c < 3; ++c) cosine += n[c] * met.wo[c];
+    for (int c = 0; c < 3; ++c) flat[c] = met.wo[c] - cosine * n[c], square += flat[c] * flat[c];
+    const Lanes sine = root(most(square, all(HEAD_ON * HEAD_ON)));
+    for (int c = 0; c < 3; ++c)
+        across[c] = (n[(c + 1) % 3] * flat[(c + 2) % 3] - n[(c + 2) % 3] * flat[(c + 1) % 3]) / sine;
+    const Lanes of_flat = t[0] * cosine / sine - t[2], of_normal = t[0] * sine + t[2] * cosine;
+    for (int c = 0; c < 3; ++c) p.axis[c] = of_flat * flat[c] + t[1] * across[c] + of_normal * n[c], p.w[c] = t[4 + c];
+    for (int r = 0; r < 3; ++r)
+        local[r] = of.frame[3 * r] * p.axis[0] + of.frame[3 * r + 1] * p.axis[1] + of.frame[3 * r + 2] * p.axis[2];
+    hemi_octahedral(local, p.a, p.b);
+    p.height = local[2], p.level = clamp(whole(t[3] + 0.5f), LEVELS - 1);
+    const Ints first = of.row * SEEN;
+    if (any(p.level < 5)) ask(g.all_seen, first + place(p.a, p.b, BITS).row * (BITS / 8));
+    if (any((p.level > 1) & (p.level < 7)))
+        ask(g.all_seen, first + WIDE_FROM + place(p.a, p.b, WIDE_SIDE).row * WIDE_SIDE);
+    if (any(p.level > 5)) ask(g.all_seen, first + WIDEST_FROM);
+}
+
+// How much of the sky a lobe of met points sees.
+static inline Lanes sky_of(const Shine &g, const Records &of, const Part &p) {
+    const Lanes seen = visible(g.all_seen, of.row * SEEN, p.a, p.b, real(p.level));
+    return p.height > 0 ? seen : all(0);
+}
+
+// Adds what a lobe reflects, where `through` of the sky is seen, and surfaces that send some light.
+static inline void reflect_part(
+    const Shine &g, const Records &of, const Part &p, Lanes through, const Lanes *surfaces, Lanes *out) {
+    Lanes d[3], e[3];
+    turned(p.axis, g.turn, d);
+    light_at(g.rest, g.map, d, p.level, e);
+    for (int c = 0; c < 3; ++c) e[c] = surfaces[c] + through * (e[c] - surfaces[c]);
+    lamps_in(g, p.axis, p.level, of.row, e);
+    for (int c = 0; c < 3; ++c) out[c] += p.w[c] * e[c];
+}
+
+// What a group sees about the axis of a lobe of other points, step by step as memory gives it: as one lobe, and how far
+// it counts as a few.
 struct Others {
     const Lobe *lobe;
     int number;
-    Lanes hidden, spread, normal[3], cosine, a, b, height, axis[3], w[3];
-    Ints there, point, level, row;
+    Lanes hidden, spread, close, world[3];
+    Met met;
+    Records of;
+    Part whole;
 };
 
-// (ptt.ops.gloss._normals)
-static inline void find_others(const Shine &g, int64_t v, Others &o) {
-    o.spread = least(most(o.lobe->level - g.alone, all(0)), all(1));
-    o.there = (o.hidden > CLEAR) & (o.spread < 1), o.cosine = all(0);
-    if (!any(o.there)) return;
-    const float *from = (const float *)(g.meets + v * MET);
-    const Ints pair = o.lobe->pair, second = o.lobe->second;
-    const Ints met = (Ints)gather(from, pair + second), word = (Ints)gather(from + 2, pair) >> 16 * second;
-    const Lanes a = real(word << 24 >> 24) * (0.5f / NORMAL), b = real(word << 16 >> 24) * (0.5f / NORMAL);
-    const Lanes x = a + b, y = a - b, z = 1.0f - size(x) - size(y), scale = 1.0f / root(x * x + y * y + z * z);
-    o.normal[0] = x * scale, o.normal[1] = y * scale, o.normal[2] = z * scale;
-    o.there &= met >= 0, o.point = o.there ? met : Ints{};
-    ask(g.records, 4 * RECORD * o.point), ask(g.sent, 4 * SENT * o.point);
+// Which points are met about axes, and which of them face away (ptt.ops.gloss._met).
+static inline void meet(const float *meets, Ints at, const Lanes *axis, Ints wanted, Met &met) {
+    met.point = (Ints)gather(meets, at);
+    Lanes cosine = all(0);
+    for (int c = 0; c < 3; ++c) met.wo[c] = -axis[c], cosine += met.wo[c] * met.normal[c];
+    met.there = wanted & (met.point >= 0) & (cosine > 0);
+    met.point = met.there ? met.point : Ints{};
 }
 
-// (ptt.ops.gloss._as_one_lobe)
-static inline void face(const Shine &g, const Look &at, Others &o) {
-    if (!any(o.there)) return;
-    Lanes record[12], wo[3], world[3], flat[3], local[3], table[8], square = all(0);
+static inline void find_others(const Shine &g, int64_t v, const Look &at, Others &o) {
+    o.spread = least(most(o.lobe->level - g.alone, all(0)), all(1));
+    o.met.there = (o.hidden > CLEAR) & (o.spread < 1);
+    if (!any(o.met.there)) return;
     const Lanes *own = o.lobe->local;
-    for (int i = 0; i < 12; i += 4) gather_four(g.records + i, o.point * RECORD, record + i);
-    for (int c = 0; c < 3; ++c) world[c] = own[0] * at.frame[0][c] + own[1] * at.frame[1][c] + own[2] * at.frame[2][c];
-    const Lanes length = root(world[0] * world[0] + world[1] * world[1] + world[2] * world[2]);
-    const Lanes back = -1.0f / most(length, all(TINY));
-    for (int r = 0; r < 3; ++r)
-        wo[r] = back * (record[3 * r] * world[0] + record[3 * r + 1] * world[1] + record[3 * r + 2] * world[2]);
-    o.cosine = wo[0] * o.normal[0] + wo[1] * o.normal[1] + wo[2] * o.normal[2];
-    const Lanes tilt = least(most(o.cosine * (TILTS - 0.5f) - 0.5f, all(0)), all(TILTS - 1));
-    const Ints row = (whole(tilt + 0.5f) + whole(record[10])) * SENT;
-    for (int i = 0; i < 8; i += 4) gather_four(g.tables + i, row, table + i);
-    for (int c = 0; c < 3; ++c) flat[c] = wo[c] - o.cosine * o.normal[c], square += flat[c] * flat[c];
-    const Lanes sine = root(most(square, all(HEAD_ON * HEAD_ON)));
-    const Lanes of_flat = table[0] * o.cosine / sine - table[2], of_normal = table[0] * sine + table[2] * o.cosine;
-    for (int c = 0; c < 3; ++c) local[c] = of_flat * flat[c] + of_normal * o.normal[c], o.w[c] = table[4 + c];
     for (int c = 0; c < 3; ++c)
-        o.axis[c] = local[0] * record[c] + local[1] * record[3 + c] + local[2] * record[6 + c];
-    o.level = clamp(whole(table[3] + 0.5f), LEVELS - 1), o.row = whole(record[9]);
-    const Ints first = o.row * SEEN;
-    hemi_octahedral(local, o.a, o.b), o.height = local[2];
-    if (any(o.level < 5)) ask(g.all_seen, first + place(o.a, o.b, BITS).row * (BITS / 8));
-    if (any((o.level > 1) & (o.level < 7)))
-        ask(g.all_seen, first + WIDE_FROM + place(o.a, o.b, WIDE_SIDE).row * WIDE_SIDE);
-    if (any(o.level > 5)) ask(g.all_seen, first + WIDEST_FROM);
+        o.world[c] = own[0] * at.frame[0][c] + own[1] * at.frame[1][c] + own[2] * at.frame[2][c];
+    const Lanes length = root(o.world[0] * o.world[0] + o.world[1] * o.world[1] + o.world[2] * o.world[2]);
+    for (int c = 0; c < 3; ++c) o.world[c] /= most(length, all(TINY));
+    const int32_t *from = g.meets + v * MET;
+    normal_of(from, o.lobe->pair, o.lobe->second, o.met.normal);
+    meet((const float *)from, o.lobe->pair + o.lobe->second, o.world, o.met.there, o.met);
+    ask(g.records, 4 * RECORD * o.met.point), ask(g.sent, 4 * SENT * o.met.point);
+}
+
+static inline void face(const Shine &g, Others &o) {
+    if (!any(o.met.there)) return;
+    records_of(g, o.met, o.of);
+    part_of(g, o.met, o.of, g.tables, o.of.table * ROW, o.whole);
+}
+
+// What points that a lobe of met points sees send to these (ptt.ops.gloss._as_parts).
+static inline void beyond(const Shine &g, const Records &of, const Part &p, Lanes through, Ints wanted, Lanes *out) {
+    for (int c = 0; c < 3; ++c) out[c] = all(0);
+    wanted &= 1.0f - through > CLEAR;
+    if (!any(wanted)) return;
+    Met met;
+    Records own;
+    Part whole;
+    Ints pair, second;
+    Lanes axis[3], sent[12], none[3] = {};
+    const Lanes length = root(p.axis[0] * p.axis[0] + p.axis[1] * p.axis[1] + p.axis[2] * p.axis[2]);
+    for (int c = 0; c < 3; ++c) axis[c] = p.axis[c] / most(length, all(TINY));
+    cell_of(p.a, p.b, pair, second);
+    pair += of.row * MET;
+    normal_of(g.others, pair, second, met.normal);
+    meet((const float *)g.others, pair + second, axis, wanted, met);
+    if (!any(met.there)) return;
+    records_of(g, met, own);
+    part_of(g, met, own, g.tables, own.table * ROW, whole);
+    for (int i = 4; i < 12; i += 4) gather_four(g.sent + i, met.point * SENT, sent + i);
+    for (int c = 0; c < 3; ++c) out[c] = sent[6 + c];
+    reflect_part(g, own, whole, sky_of(g, own, whole), none, out);
+    for (int c = 0; c < 3; ++c) out[c] = met.there ? out[c] : all(0);
+}
+
+// What others send that are seen as a few lobes, where that counts.
+static inline void take_parts(const Shine &g, int64_t v, const Others &o, Lanes *out) {
+    Met met;
+    Records of;
+    Lanes sent[4];
+    for (int c = 0; c < 3; ++c) out[c] = all(0);
+    const int32_t *from = g.meets + v * MET;
+    between_normals(from, lane() * MET, o.lobe->a, o.lobe->b, met.normal);
+    meet((const float *)from, o.lobe->pair + o.lobe->second, o.world, o.close > 0, met);
+    if (!any(met.there)) return;
+    records_of(g, met, of);
+    gather_four(g.sent, met.point * SENT, sent);
+    for (int c = 0; c < 3; ++c) out[c] = sent[c];
+    Part parts[PARTS];
+    for (int j = 0; j < PARTS; ++j) part_of(g, met, of, g.parts, (of.table * PARTS + j) * ROW, parts[j]);
+    for (int j = 0; j < PARTS; ++j) {
+        Lanes surfaces[3];
+        const Lanes through = sky_of(g, of, parts[j]);
+        beyond(g, of, parts[j], through, met.there, surfaces);
+        reflect_part(g, of, parts[j], through, surfaces, out);
+    }
+    for (int c = 0; c < 3; ++c) out[c] = met.there ? out[c] : all(0);
 }
 
 // What others send against the axis, 0 where they face away, times the share that is hidden from the sky
 // (ptt.ops.gloss._from_points)
 static inline void take_from(const Shine &g, int64_t v, const Others &o, Lanes *out) {
     for (int c = 0; c < 3; ++c) out[c] = all(0);
-    const Ints facing = o.there & (o.cosine > 0);
-    if (any(facing)) {
-        Lanes sent[8], d[3], e[3];
-        for (int i = 0; i < 8; i += 4) gather_four(g.sent + i, o.point * SENT, sent + i);
-        const Lanes seen = visible(g.all_seen, o.row * SEEN, o.a, o.b, real(o.level));
-        const Lanes through = o.height > 0 ? seen : all(0);
-        turned(o.axis, g.turn, d);
-        light_at(g.rest, g.map, d, o.level, e);
-        for (int c = 0; c < 3; ++c) e[c] = sent[3 + c] + through * (e[c] - sent[3 + c]);
-        lamps_in(g, o.axis, o.level, o.row, e);
-        for (int c = 0; c < 3; ++c) out[c] = facing ? sent[c] + o.w[c] * e[c] : all(0);
+    if (any(o.met.there)) {
+        Lanes sent[8];
+        for (int i = 0; i < 8; i += 4) gather_four(g.sent + i, o.met.point * SENT, sent + i);
+        for (int c = 0; c < 3; ++c) out[c] = sent[c];
+        reflect_part(g, o.of, o.whole, sky_of(g, o.of, o.whole), sent + 3, out);
+        for (int c = 0; c < 3; ++c) out[c] = o.met.there ? out[c] : all(0);
+    }
+    if (g.others && any(o.close > 0)) {
+        Lanes parts[3];
+        take_parts(g, v, o, parts);
+        for (int c = 0; c < 3; ++c) out[c] += o.close * (parts[c] - out[c]);
     }
     for (int c = 0; c < 3; ++c) {
         const Lanes about = out[c] + o.spread * (load(g.mean + c * g.n + v) - out[c]);
@@ -275,23 +411,29 @@ static inline void take_from(const Shine &g, int64_t v, const Others &o, Lanes *
 // What comes of other points in all lobes, in sums; some lobes at a time, so that what one waits for comes while others
 // are worked out.
 static inline void from_points(const Shine &g, int64_t v, const Look &at, Lanes *sums) {
+    constexpr int step = sizeof *at.rows / sizeof **at.rows;
+    Lanes weights[MOST_CELLS][4], all_of_it = all(0);
+    for (int k = 0; k < g.lobes; ++k) {
+        gather_four(at.rows[0] + COLUMNS * k + 3, lane() * step, weights[k]);
+        for (int c = 1; c < 4; ++c) all_of_it += weights[k][c];
+    }
     Others others[TOGETHER];
     for (int next = 0; next < g.lobes;) {
         int count = 0;
         for (; next < g.lobes && count < TOGETHER; ++next) {
-            const Lanes hidden = 1.0f - at.lobes[next].seen;
+            const Lanes hidden = 1.0f - at.lobes[next].seen, *w = weights[next];
             if (!any(hidden > CLEAR)) continue;
             Others &o = others[count++];
             o.lobe = at.lobes + next, o.number = next, o.hidden = hidden;
+            const Lanes much = (w[1] + w[2] + w[3]) * hidden / most(all_of_it, all(TINY));
+            o.close = least(most((much - CLOSE) * (1.0f / CLOSE), all(0)), all(1));
         }
-        for (int i = 0; i < count; ++i) find_others(g, v, others[i]);
-        for (int i = 0; i < count; ++i) face(g, at, others[i]);
+        for (int i = 0; i < count; ++i) find_others(g, v, at, others[i]);
+        for (int i = 0; i < count; ++i) face(g, others[i]);
         for (int i = 0; i < count; ++i) {
-            Lanes e[3], w[4];
+            Lanes e[3];
             take_from(g, v, others[i], e);
-            const float *rows = at.rows[0] + COLUMNS * others[i].number + 4;
-            gather_four(rows, lane() * (int)(sizeof *at.rows / sizeof **at.rows), w);
-            for (int c = 0; c < 3; ++c) sums[c] += w[c] * e[c];
+            for (int c = 0; c < 3; ++c) sums[c] += weights[others[i].number][1 + c] * e[c];
         }
     }
 }
@@ -358,7 +500,7 @@ static inline void lamp(const Lit &g, int64_t v, const Stand &at, int64_t m, flo
     const Lanes half_turns = (to < 0 ? 3.14159265f - turn : turn) * (SECTORS / 3.14159265f) - 0.5f;
     const Lanes sector = least(most(half_turns, all(0)), all(SECTORS - 1));
     const Ints i = clamp(whole(ring), RINGS - 2), j = clamp(whole(sector), SECTORS - 2);
-    const Ints from = at.row * ROW + i * RING + j * 3;
+    const Ints from = at.row * WHOLE + i * RING + j * 3;
     store(lit, seen), store(along, ring - real(i)), store(around, sector - real(j));
     std::memcpy(first, &from, sizeof first);
     const float *p = g.powers + 3 * m;
@@ -366,7 +508,7 @@ static inline void lamp(const Lit &g, int64_t v, const Stand &at, int64_t m, flo
     for (int l = 0; l < LANES; ++l) {
         Eight e, next;  // four numbers from the left sector's on, and the four that end with the right one's
         between<2>(g.values + first[l], RING, along[l], e);
-        between<2>(g.values + first[l] + ROW, RING, along[l], next);
+        between<2>(g.values + first[l] + WHOLE, RING, along[l], next);
         e += at.share[l] * (next - e);
         const Four left = {e[0], e[1], e[2]}, right = {e[5], e[6], e[7]};
         const Four f = left + around[l] * (right - left);

@@ -18,8 +18,10 @@ from ptt.ops.constants import (
     LEVELS,
     MET,
     MOST_CELLS,
+    PARTS,
     RECORD,
     RINGS,
+    ROW,
     SECTORS,
     SENT,
     TILTS,
@@ -76,7 +78,9 @@ class _Shine(NamedTuple):
     records: Tensor | None
     sent: Tensor | None
     all_seen: Tensor | None
+    others: Tensor | None
     tables: Tensor | None
+    parts: Tensor | None
     rest: Tensor | None
     near: Tensor | None
     near_powers: Tensor | None
@@ -87,7 +91,7 @@ def _plain(*arguments: Any) -> Tensor:
     g = _Shine(*arguments)
     light = GlossLight(g.maps, g.turn, g.lamps, g.powers, g.through)
     points = SurfaceBlocks(g.position, g.frame, None, g.position.new_empty(0), g.place)
-    gloss = Gloss(Lobes(g.table, g.turns), g.values, g.table[:0], sharp=False)
+    gloss = Gloss(Lobes(g.table, g.turns), g.values, g.table[:0], g.table[:0], sharp=False)
     around = None if g.meets is None else Around(*arguments[-len(Around._fields) :])
     return plain.shine(points, g.eye, g.seen, gloss, light, around, g.share)
 
@@ -124,17 +128,23 @@ def _conditions(*arguments: Any) -> Conditions:
 
 
 def _of_around(g: _Shine, around: Around) -> Conditions:
-    mean, meets, points, sent, seen, tables, maps, lamps, powers, through = around
-    yield of_type(torch.float32, mean, points, sent, tables, maps, lamps, powers, through), "all around must be float32"
-    yield of_type(torch.int32, meets, seen), "what points see, and which points, must be int32"
-    yield contiguous(*around), "what lies around must be contiguous"
+    mean, meets, points, sent, seen, others, tables, parts, maps, lamps, powers, through = around
+    reals = (mean, points, sent, tables, parts, maps, lamps, powers, through)
+    yield of_type(torch.float32, *reals), "all around must be float32"
+    whole = (meets, seen) if others is None else (meets, seen, others)
+    yield of_type(torch.int32, *whole), "what points see, and which points, must be int32"
+    yield contiguous(*reals, *whole), "what lies around must be contiguous"
     yield mean.shape == g.position.shape, "the mean of surfaces must be (3, n)"
     yield meets.shape == (g.position.shape[1], MET), f"meets must be (n, {MET})"
     yield points.shape == (len(points), RECORD), f"points must be (p, {RECORD})"
     yield sent.shape == (len(points), SENT), f"what is sent must be (p, {SENT})"
     yield seen.shape == (len(seen), WORDS), f"what all see must be (s, {WORDS})"
     yield 4 * WORDS * len(seen) < 2**31, "what all see must have fewer than 2^31 bytes"
-    yield tables.ndim == 2 and tables.shape[1] == SENT, f"tables must be (regions * {TILTS}, {SENT})"
+    if others is not None:
+        yield others.shape == (len(seen), MET), f"what others meet must be (s, {MET})"
+        yield MET * len(seen) < 2**31, "what others meet must have fewer than 2^31 words"
+    yield tables.ndim == 2 and tables.shape[1] == ROW, f"tables must be (regions * {TILTS}, {ROW})"
+    yield parts.shape == (len(tables), PARTS, ROW), f"parts must be (regions * {TILTS}, {PARTS}, {ROW})"
     yield maps.shape == g.maps.shape, "the maps of the light must have one size"
     yield lamps.shape == powers.shape == (len(lamps), 3), "lamps and powers must be (m, 3)"
     yield through.shape == (len(seen), len(lamps)), "what all see of lamps must be (s, m)"
@@ -164,7 +174,9 @@ def _kernel(*arguments: Any) -> Tensor:
         records=g.records,
         sent=g.sent,
         all_seen=g.all_seen,
+        others=g.others,
         tables=g.tables,
+        parts=g.parts,
         rest=g.rest,
         near=g.near,
         near_powers=g.near_powers,
@@ -177,6 +189,7 @@ def _kernel(*arguments: Any) -> Tensor:
         sources=len(g.lamps),
         near_sources=0 if g.near is None else len(g.near),
         sharpness=plain.SHARPNESS,
+        blur=plain.BLUR,
         alone=plain.alone(g.table.shape[1]),
         distant=g.eye.ndim == 2,
         lobes=g.table.shape[1],
@@ -188,8 +201,8 @@ def _kernel(*arguments: Any) -> Tensor:
 _shine = operator(
     "shine(Tensor position, Tensor frame, Tensor place, Tensor eye, Tensor seen, Tensor table, int turns, "
     "Tensor values, Tensor maps, Tensor turn, Tensor lamps, Tensor powers, Tensor through, Tensor? share, "
-    "Tensor? mean, Tensor? meets, Tensor? records, Tensor? sent, Tensor? all_seen, Tensor? tables, Tensor? rest, "
-    "Tensor? near, Tensor? near_powers, Tensor? near_through) -> Tensor",
+    "Tensor? mean, Tensor? meets, Tensor? records, Tensor? sent, Tensor? all_seen, Tensor? others, Tensor? tables, "
+    "Tensor? parts, Tensor? rest, Tensor? near, Tensor? near_powers, Tensor? near_through) -> Tensor",
     plain=_plain,
     kernel=_kernel,
     conditions=_conditions,

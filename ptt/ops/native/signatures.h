@@ -83,14 +83,14 @@ struct Shine {
     const float *position, *frame, *eye, *table, *values, *maps, *turn, *lamps, *powers;
     const float *through;                                 // (sources, n), how much of lamps is seen
     const float *share;                                   // null for all of the material everywhere
-    const float *mean, *records, *sent, *tables, *rest;   // of what lies around
+    const float *mean, *records, *sent, *tables, *parts, *rest;  // of what lies around
     const float *near, *near_powers, *near_through;       // of the same: lamps, and how much is seen (rows, near_sources)
-    const int32_t *meets;                          // null where nothing does
+    const int32_t *meets, *others;                 // null where nothing does, and where light bounces once
     const uint8_t *seen, *all_seen;                // of each point bits, then bytes
     const int64_t *place;
     float *line, *out;           // scratch (n, 3), and (points, 3)
     int64_t n, points, sources, near_sources;  // sources: lamps
-    float sharpness;                           // of a lobe of level 1
+    float sharpness, blur;                     // of a lobe of level 1; of lobes in which others show lamps
     float alone;                               // level of lobes that see one point alone
     int32_t distant, lobes, map;  // map: the side of the grid, with the border
     int32_t threads;

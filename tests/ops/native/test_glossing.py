@@ -13,7 +13,7 @@ from ptt.materials.shapes import GGX, Analytic, Ward
 from ptt.ops import cells, native
 from ptt.ops import gloss as plain
 from ptt.ops.cells import Gloss, Lobes
-from ptt.ops.constants import LEVELS, MEETS, RECORD, RINGS, SECTORS, SENT, TILTS
+from ptt.ops.constants import LEVELS, MEETS, PARTS, RECORD, RINGS, ROW, SECTORS, SENT, TILTS
 from ptt.ops.gloss import Around, GlossLight
 from ptt.ops.native.glossing import WORDS
 from ptt.ops.transfer import meets_packed
@@ -58,7 +58,7 @@ def inputs(
     )
     light = GlossLight(maps, rotations(1, g)[0].contiguous(), *of_lamps)
     eye = directions(n, g).T.contiguous() if distant else torch.ones(3)
-    return Inputs(points, eye, words(n, WORDS, g), Gloss(Lobes(table, turns), values, table[:0], sharp=False), light)
+    return Inputs(points, eye, words(n, WORDS, g), Gloss(Lobes(table, turns), values, table[:0], table[:0], sharp=False), light)
 
 
 def words(n: int, count: int, g: torch.Generator) -> Tensor:
@@ -79,7 +79,7 @@ def in_double(x: Inputs) -> Inputs:
     gloss = x.gloss._replace(
         lobes=x.gloss.lobes._replace(table=x.gloss.lobes.table.double()), values=x.gloss.values.double()
     )
-    around = x.around and Around(*(t.double() if t.is_floating_point() else t for t in x.around))
+    around = x.around and Around(*(t.double() if t is not None and t.is_floating_point() else t for t in x.around))
     return Inputs(points, x.eye.double(), x.seen, gloss, GlossLight(*(t.double() for t in x.light)), around, x.share)
 
 
@@ -89,8 +89,8 @@ def surroundings(n: int, p: int, g: torch.Generator) -> Around:
     meets = meets_packed(torch.randint(-1, p, (n, MEETS * MEETS), generator=g).int(), normals)
     numbers = torch.stack((torch.randint(7, (p,), generator=g), TILTS * torch.randint(3, (p,), generator=g)), 1)
     records = torch.cat((rotations(p, g).flatten(1), numbers.float(), torch.zeros(p, RECORD - 11)), 1)
-    rows = torch.cat((directions(3, g), torch.tensor([[0.0], [4.0], [7.0]]), torch.rand(3, 4, generator=g)), 1)
-    tables = rows.repeat_interleave(TILTS, 0)
+    tables = rows(3, g).repeat_interleave(TILTS, 0)
+    parts = rows(3 * PARTS, g).reshape(3, PARTS, ROW).repeat_interleave(TILTS, 0)
     maps = torch.rand(LEVELS, 144, 4, generator=g)
     lamps = 5
     return Around(
@@ -99,12 +99,20 @@ def surroundings(n: int, p: int, g: torch.Generator) -> Around:
         records,
         torch.rand(p, SENT, generator=g),
         words(7, WORDS, g),
+        meets_packed(torch.randint(-1, p, (7, MEETS * MEETS), generator=g).int(), normals[:7]),
         tables,
+        parts,
         maps,
         directions(lamps, g),
         torch.rand(lamps, 3, generator=g),
         torch.rand(7, lamps, generator=g),
     )
+
+
+def rows(n: int, g: torch.Generator) -> Tensor:
+    """Lobes of noise (n, ROW), of whole levels."""
+    level = torch.tensor([0.0, 4.0, 7.0]).repeat(n // 3)[:, None]
+    return torch.cat((directions(n, g), level, torch.rand(n, 4, generator=g)), 1)
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from ptt.light.prefiltered import samples
 from ptt.materials.shapes import BlinnPhong
 from ptt.ops import haar, native, near, rotation, slices
 from ptt.ops.cells import Gloss, Lobes
-from ptt.ops.constants import LEVELS, MET, RECORD, RINGS, SECTORS, SENT, TILTS
+from ptt.ops.constants import LEVELS, MET, PARTS, RECORD, RINGS, ROW, SECTORS, SENT, TILTS
 from ptt.ops.geodesic import Geodesic
 from ptt.ops.gloss import Around, GlossLight
 from ptt.ops.haar import Truncated
@@ -107,7 +107,7 @@ def shine() -> None:
     seen = torch.randint(0, 2**31, (n, WORDS), generator=generator()).int()
     frame = torch.eye(3)[:, :, None].repeat(1, 1, n)
     surface = SurfaceBlocks(uniform(3, n), frame, None, torch.empty(0), torch.arange(n - 3))
-    gloss = Gloss(Lobes(uniform(TILTS, 3, 7), 1), uniform(TILTS, RINGS, SECTORS, 3), uniform(TILTS, SENT), sharp=False)
+    gloss = Gloss(Lobes(uniform(TILTS, 3, 7), 1), uniform(TILTS, RINGS, SECTORS, 3), uniform(TILTS, ROW), uniform(TILTS, PARTS, ROW), sharp=False)
     meets = torch.arange(n * MET, dtype=torch.int32).reshape(n, -1) % 4 - 1
     records = torch.cat((torch.eye(3).flatten().expand(3, -1), torch.zeros(3, RECORD - 9)), 1)
     maps = uniform(LEVELS, 36, 4)
@@ -117,7 +117,9 @@ def shine() -> None:
         records,
         uniform(3, SENT),
         seen,
-        uniform(TILTS, SENT),
+        meets,
+        uniform(TILTS, ROW),
+        uniform(TILTS, PARTS, ROW),
         maps,
         *map(uniform, (2, 2, n), (3, 3, 2)),
     )
