@@ -61,8 +61,9 @@ PARTS = 4
 """Lobes by which what a point sees of others reflects, where much of what the point reflects comes from there."""
 
 CLOSE = 0.05
-"""The share of what a point reflects from which a surface seen by one lobe reflects by `PARTS` in place of one, and by
-all of them from twice as much."""
+"""What a lobe of 16 of a point reflects of a surface from which that reflects by `PARTS` lobes in place of one, and by
+them alone from twice as much: in a trial on a statue of gold of roughness 0.2, those lobes were 3.7 of 11.8 that saw
+surfaces, and served as well as all."""
 
 RECORD = 16
 """Numbers of a point as others see it: they fill a cache line, of which 11 are used."""

@@ -13,7 +13,7 @@ from torch.nn.functional import normalize
 
 from ptt.materials.shapes import GGX, Analytic, BlinnPhong, CookTorrance, Ward
 from ptt.ops import cells, gloss, transfer
-from ptt.ops.constants import BITS, LEVELS, MEETS, MET, RECORD, SENT, TILTS
+from ptt.ops.constants import BITS, LEVELS, MEETS, RECORD, ROW, SENT, TILTS
 from ptt.ops.octahedral import HemiOctahedral, Octahedral, bordered
 from ptt.ops.sphere import Cube
 from ptt.ops.view import SurfaceBlocks
@@ -205,10 +205,25 @@ def ceiling(sent: Tensor, table: Tensor, seen: Tensor) -> gloss.Around:
     record = torch.zeros(1, RECORD)
     record[0, :9] = torch.tensor([1.0, 0, 0, 0, -1, 0, 0, 0, -1])
     sky = light_of(lambda d: torch.where(d[:, 2] < 0, 2.0, 0.0))  # from below
-    meets = torch.zeros(16, MET, dtype=torch.int32)
+    tables = table.repeat(TILTS, 1)
     return gloss.Around(
-        torch.zeros(3, 16), meets, record, sent[None], seen[:1], table.repeat(TILTS, 1), sky.maps, *no_lamps()
+        torch.zeros(3, 16),
+        looks_down(),
+        record,
+        sent[None],
+        seen[:1],
+        None,
+        tables,
+        cells.in_parts(tables),
+        sky.maps,
+        *no_lamps(),
     )
+
+
+def looks_down() -> Tensor:
+    """What points meet (16, MET) that see the ceiling everywhere."""
+    nothing = torch.zeros(16, MEETS * MEETS, dtype=torch.int32)
+    return transfer.meets_packed(nothing, torch.tensor([0.0, 0.0, -1.0]).expand(*nothing.shape, 3))
 
 
 def no_lamps() -> tuple[Tensor, Tensor, Tensor]:
@@ -226,8 +241,8 @@ def test_a_ceiling_is_reflected(shape: Analytic, degrees: float) -> None:
     tables = cells.gloss_of(grey(shape), True, 16)
     dark = light_of(lambda d: torch.zeros(len(d)))
     albedo = dense(shape, wo[:, 0], lambda d: torch.ones(len(d)))
-    dull = torch.tensor([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    mean = torch.tensor([0.0, 0.0, 0.0, 0.3, 0.2, 0.1, 0.0, 0.0])
+    dull = torch.tensor([1.0, 2.0, 3.0] + [0.0] * 9)
+    mean = torch.tensor([0.0, 0.0, 0.0, 0.3, 0.2, 0.1] + [0.0] * 6)
     half = torch.tensor([0.0, 0.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.0])
     for sent, table, seen, expected in (
         (dull, torch.nn.functional.pad(half[:3], (0, 5)), everything, [albedo, 2 * albedo, 3 * albedo]),
@@ -240,13 +255,61 @@ def test_a_ceiling_is_reflected(shape: Analytic, degrees: float) -> None:
         assert got.tolist() == pytest.approx(expected, rel=0.02)
 
 
+def test_what_a_ceiling_sees_is_reflected_twice() -> None:
+    """A mirror in a ceiling that is a mirror for half of the light and sees nothing but a floor: what that sends of
+    light that did not bounce before, and half of what it reflects itself of the sky above it."""
+    blocks, nothing = points(16, lambda d: d[:, 2] > 2)
+    everything = points(16)[1]
+    tables, dark = cells.gloss_of(grey(GGX(1.0, 0.1)), True, 1), light_of(lambda d: torch.zeros(len(d)))
+    wo = tilted(30.0, 40.0, 16)
+    albedo = dense(GGX(1.0, 0.1), wo[:, 0], lambda d: torch.ones(len(d)))
+    half = torch.tensor([0.0, 0.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.0])
+    floor = torch.zeros(1, RECORD)
+    floor[0, :10] = torch.tensor([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 1])
+    up = torch.tensor([0.0, 0.0, 1.0]).expand(2, MEETS * MEETS, 3)
+    meets = transfer.meets_packed(torch.ones(2, MEETS * MEETS, dtype=torch.int32), up)
+    alone = ceiling(torch.tensor([9.0] * 3 + [7.0] * 3 + [5.0] * 3 + [0.0] * 3), half, nothing)
+    sent = torch.cat((torch.zeros(1, SENT), torch.tensor([[9.0] * 6 + [1.0, 2.0, 3.0] + [0.0] * 3])))
+    both = alone._replace(points=torch.cat((alone.points, floor)), sent=sent, others=meets)
+    seen = torch.cat((nothing[:1], everything[:1]))
+    for maps, reflected in ((dark.maps, 0.0), (light_of(lambda d: torch.full((len(d),), 4.0)).maps, 2.0)):
+        around = both._replace(seen=seen, maps=maps, through=torch.zeros(2, 0))
+        got = gloss.shine(blocks, wo, nothing, tables, dark, around)[0]
+        expected = [albedo / 2 * (each + reflected) for each in (1.0, 2.0, 3.0)]
+        assert got.tolist() == pytest.approx(expected, rel=0.02)
+
+
+def test_a_ceiling_reflects_by_several_lobes_where_much_of_it_is_seen() -> None:
+    """As the mean of the sky about each of them, along, across and about the mirror direction."""
+    blocks, nothing = points(16, lambda d: d[:, 2] > 2)
+    tables, dark = cells.gloss_of(grey(GGX(1.0, 0.1)), True, 1), light_of(lambda d: torch.zeros(len(d)))
+    wo = tilted(30.0, 0.0, 16)
+    albedo = dense(GGX(1.0, 0.1), wo[:, 0], lambda d: torch.ones(len(d)))
+    sky = light_of(lambda d: 2 + d[:, 0] + 0.5 * d[:, 1])
+    around = ceiling(torch.zeros(SENT), torch.tensor([0.0, 0, 1, 1, 0, 0, 0, 0]), points(16)[1])
+    axes = torch.tensor([[0.0, 0, 1], [0.6, 0, 0.8], [0, 0.6, 0.8], [0, -0.6, 0.8]])
+    parts = torch.cat((axes, torch.tensor([[1.0, 0.25, 0.25, 0.25, 0.0]]).expand(4, -1)), 1)
+    lit = around._replace(parts=parts.repeat(TILTS, 1, 1), others=torch.full_like(around.meets[:1], -1), maps=sky.maps)
+    got = float(gloss.shine(blocks, wo, nothing, tables, dark, lit)[0, 0])
+    # Seen from the right, the points look left, and so does the ceiling, down; what is along leans back, to its normal
+    degrees = math.radians(30.0)
+    mirror = torch.tensor([-math.sin(degrees), 0.0, -math.cos(degrees)])
+    along = torch.tensor([math.cos(degrees), 0.0, -math.sin(degrees)])
+    means = [2 + float(d[0] + 0.5 * d[1]) for d in (mirror, 0.8 * mirror + 0.6 * along, 0.8 * mirror)]
+    expected = (means[0] + means[1] + 2 * means[2]) / 4
+    assert got == pytest.approx(expected * albedo, rel=0.03)
+
+
 def test_a_ceiling_that_looks_away_or_is_not_there_sends_nothing() -> None:
     blocks, nothing = points(16, lambda d: d[:, 2] > 2)
     tables = cells.gloss_of(grey(GGX(1.0, 0.3)), True, 16)
     dark = light_of(lambda d: torch.zeros(len(d)))
-    around = ceiling(torch.ones(SENT), torch.ones(SENT), points(16)[1])
-    away = around._replace(points=around.points * torch.tensor([1.0] * 6 + [-1.0] * 3 + [1.0] * 7))
-    none = around._replace(meets=torch.full_like(around.meets, -1))
+    around = ceiling(torch.ones(SENT), torch.ones(ROW), points(16)[1])
+    upward = torch.tensor([0.0, 0.0, 1.0]).expand(16, MEETS * MEETS, 3)
+    away, none = (
+        around._replace(meets=transfer.meets_packed(torch.full((16, MEETS * MEETS), met, dtype=torch.int32), upward))
+        for met in (0, -1)
+    )
     for other in (away, none):
         assert not gloss.shine(blocks, tilted(30.0, 0.0, 16), nothing, tables, dark, other).any()
 
@@ -263,7 +326,8 @@ def test_a_ceiling_reflects_by_its_normals_and_not_by_those_of_its_vertices() ->
     around = ceiling(torch.zeros(SENT), mirror, points(16)[1])._replace(maps=sky.maps)
     for lean in (0.0, 10.0, -10.0, 50.0):
         cells_of = torch.zeros(16, MEETS * MEETS, dtype=torch.int32)
-        leaning = around._replace(meets=transfer.meets_packed(cells_of, tilted(lean)[:, 0].expand(*cells_of.shape, 3)))
+        normal = tilted(lean)[:, 0] * torch.tensor([1.0, -1.0, -1.0])  # the ceiling looks down
+        leaning = around._replace(meets=transfer.meets_packed(cells_of, normal.expand(*cells_of.shape, 3)))
         got = gloss.shine(blocks, wo, nothing, tables, light_of(lambda d: torch.zeros(len(d))), leaning)
         expected = 1 + math.sin(math.radians(2 * lean)) if lean < 45 else 0
         assert float(got[0, 0]) == pytest.approx(expected * albedo, rel=0.03, abs=0.05)
@@ -315,7 +379,7 @@ def test_what_sees_the_sky_sees_no_ceiling() -> None:
     blocks, everything = points(16)
     tables = cells.gloss_of(grey(GGX(1.0, 0.3)), True, 16)
     sky = light_of(lambda d: 1 + d[:, 0])
-    around = ceiling(torch.ones(SENT), torch.ones(SENT), everything)
+    around = ceiling(torch.ones(SENT), torch.ones(ROW), everything)
     wo = tilted(30.0, 0.0, 16)
     alone = gloss.shine(blocks, wo, everything, tables, sky)
     assert torch.allclose(gloss.shine(blocks, wo, everything, tables, sky, around), alone, atol=1e-6)

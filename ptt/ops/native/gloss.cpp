@@ -362,15 +362,29 @@ static inline void beyond(const Shine &g, const Records &of, const Part &p, Lane
     for (int c = 0; c < 3; ++c) out[c] = met.there ? out[c] : all(0);
 }
 
-// What others send that are seen as a few lobes, where that counts.
-static inline void take_parts(const Shine &g, int64_t v, const Others &o, Lanes *out) {
+// Pairs of a point of a group and a lobe of which what is seen reflects as a few lobes, side by side: where the lobe lies
+// on maps of the hemisphere, its axis in the world, how much it counts, channel by channel, the words of what the point
+// meets and of the pair of cells there, which of these two, and the point.
+struct Pairs {
+    alignas(64) float a[LANES], b[LANES], world[3][LANES], weight[3][LANES];
+    alignas(64) int32_t from[LANES], pair[LANES], second[LANES];
+    int point[LANES], count = 0;
+};
+
+// What pairs add to the sums of their points (ptt.ops.gloss._as_parts); leaves none.
+static inline void take_parts(const Shine &g, int64_t v, Pairs &pairs, float (*sums)[LANES]) {
     Met met;
     Records of;
-    Lanes sent[4];
-    for (int c = 0; c < 3; ++c) out[c] = all(0);
-    const int32_t *from = g.meets + v * MET;
-    between_normals(from, lane() * MET, o.lobe->a, o.lobe->b, met.normal);
-    meet((const float *)from, o.lobe->pair + o.lobe->second, o.world, o.close > 0, met);
+    Lanes sent[4], world[3], out[3];
+    Ints from, pair, second;
+    std::memcpy(&from, pairs.from, sizeof from), std::memcpy(&pair, pairs.pair, sizeof pair);
+    std::memcpy(&second, pairs.second, sizeof second);
+    for (int c = 0; c < 3; ++c) world[c] = load(pairs.world[c]);
+    const int32_t *meets = g.meets + v * MET;
+    between_normals(meets, from, load(pairs.a), load(pairs.b), met.normal);
+    meet((const float *)meets, pair + second, world, lane() < pairs.count, met);
+    const int count = pairs.count;
+    pairs.count = 0;
     if (!any(met.there)) return;
     records_of(g, met, of);
     gather_four(g.sent, met.point * SENT, sent);
@@ -383,28 +397,46 @@ static inline void take_parts(const Shine &g, int64_t v, const Others &o, Lanes 
         beyond(g, of, parts[j], through, met.there, surfaces);
         reflect_part(g, of, parts[j], through, surfaces, out);
     }
-    for (int c = 0; c < 3; ++c) out[c] = met.there ? out[c] : all(0);
+    for (int c = 0; c < 3; ++c) {
+        const Lanes some = met.there ? out[c] * load(pairs.weight[c]) : all(0);
+        for (int i = 0; i < count; ++i) sums[c][pairs.point[i]] += some[i];
+    }
 }
 
-// What others send against the axis, 0 where they face away, times the share that is hidden from the sky
+// What others send against the axis as one lobe, 0 where they face away, times the share that is hidden from the sky
 // (ptt.ops.gloss._from_points)
 static inline void take_from(const Shine &g, int64_t v, const Others &o, Lanes *out) {
     for (int c = 0; c < 3; ++c) out[c] = all(0);
-    if (any(o.met.there)) {
+    if (any(o.met.there & (o.close < 1))) {
         Lanes sent[8];
         for (int i = 0; i < 8; i += 4) gather_four(g.sent + i, o.met.point * SENT, sent + i);
         for (int c = 0; c < 3; ++c) out[c] = sent[c];
         reflect_part(g, o.of, o.whole, sky_of(g, o.of, o.whole), sent + 3, out);
         for (int c = 0; c < 3; ++c) out[c] = o.met.there ? out[c] : all(0);
     }
-    if (g.others && any(o.close > 0)) {
-        Lanes parts[3];
-        take_parts(g, v, o, parts);
-        for (int c = 0; c < 3; ++c) out[c] += o.close * (parts[c] - out[c]);
-    }
+    const Lanes share = (1.0f - o.spread) * (1.0f - o.close);
     for (int c = 0; c < 3; ++c) {
-        const Lanes about = out[c] + o.spread * (load(g.mean + c * g.n + v) - out[c]);
+        const Lanes about = share * out[c] + o.spread * load(g.mean + c * g.n + v);
         out[c] = o.hidden > CLEAR ? o.hidden * about : all(0);
+    }
+}
+
+// Puts pairs of a lobe beside the others; takes them when there are LANES.
+static inline void pair_up(
+    const Shine &g, int64_t v, const Others &o, const Lanes *w, Pairs &pairs, float (*sums)[LANES]) {
+    alignas(64) float a[LANES], b[LANES], world[3][LANES], weight[3][LANES], close[LANES];
+    alignas(64) int32_t pair[LANES], second[LANES];
+    const Lanes share = o.spread < 1 ? o.close * o.hidden * (1.0f - o.spread) : all(0);
+    store(close, share), store(a, o.lobe->a), store(b, o.lobe->b);
+    for (int c = 0; c < 3; ++c) store(world[c], o.world[c]), store(weight[c], share * w[c]);
+    std::memcpy(pair, &o.lobe->pair, sizeof pair), std::memcpy(second, &o.lobe->second, sizeof second);
+    for (int l = 0; l < LANES; ++l) {
+        if (!(close[l] > 0)) continue;
+        const int i = pairs.count++;
+        pairs.a[i] = a[l], pairs.b[i] = b[l], pairs.pair[i] = pair[l], pairs.second[i] = second[l];
+        for (int c = 0; c < 3; ++c) pairs.world[c][i] = world[c][l], pairs.weight[c][i] = weight[c][l];
+        pairs.from[i] = l * MET, pairs.point[i] = l;
+        if (pairs.count == LANES) take_parts(g, v, pairs, sums);
     }
 }
 
@@ -412,12 +444,11 @@ static inline void take_from(const Shine &g, int64_t v, const Others &o, Lanes *
 // are worked out.
 static inline void from_points(const Shine &g, int64_t v, const Look &at, Lanes *sums) {
     constexpr int step = sizeof *at.rows / sizeof **at.rows;
-    Lanes weights[MOST_CELLS][4], all_of_it = all(0);
-    for (int k = 0; k < g.lobes; ++k) {
-        gather_four(at.rows[0] + COLUMNS * k + 3, lane() * step, weights[k]);
-        for (int c = 1; c < 4; ++c) all_of_it += weights[k][c];
-    }
+    Lanes weights[MOST_CELLS][4];
+    for (int k = 0; k < g.lobes; ++k) gather_four(at.rows[0] + COLUMNS * k + 3, lane() * step, weights[k]);
     Others others[TOGETHER];
+    Pairs pairs = {};
+    alignas(64) float closely[3][LANES] = {};
     for (int next = 0; next < g.lobes;) {
         int count = 0;
         for (; next < g.lobes && count < TOGETHER; ++next) {
@@ -425,17 +456,22 @@ static inline void from_points(const Shine &g, int64_t v, const Look &at, Lanes 
             if (!any(hidden > CLEAR)) continue;
             Others &o = others[count++];
             o.lobe = at.lobes + next, o.number = next, o.hidden = hidden;
-            const Lanes much = (w[1] + w[2] + w[3]) * hidden / most(all_of_it, all(TINY));
-            o.close = least(most((much - CLOSE) * (1.0f / CLOSE), all(0)), all(1));
+            const Lanes much = (w[1] + w[2] + w[3]) * hidden * (1.0f / 3);
+            const Lanes narrow = least(most(g.alone - o.lobe->level, all(0)), all(1));
+            o.close = g.others ? narrow * least(most(much / g.close - 1.0f, all(0)), all(1)) : all(0);
         }
         for (int i = 0; i < count; ++i) find_others(g, v, at, others[i]);
         for (int i = 0; i < count; ++i) face(g, others[i]);
         for (int i = 0; i < count; ++i) {
             Lanes e[3];
+            const Lanes *w = weights[others[i].number] + 1;
             take_from(g, v, others[i], e);
-            for (int c = 0; c < 3; ++c) sums[c] += weights[others[i].number][1 + c] * e[c];
+            for (int c = 0; c < 3; ++c) sums[c] += w[c] * e[c];
+            if (any(others[i].close > 0)) pair_up(g, v, others[i], w, pairs, closely);
         }
     }
+    if (pairs.count) take_parts(g, v, pairs, closely);
+    for (int c = 0; c < 3; ++c) sums[c] += load(closely[c]);
 }
 
 // Two numbers of four channels, of which the second lies GAP further on, between those at p and those a step further

@@ -191,6 +191,7 @@ def _kernel(*arguments: Any) -> Tensor:
         sharpness=plain.SHARPNESS,
         blur=plain.BLUR,
         alone=plain.alone(g.table.shape[1]),
+        close=plain.close(g.table.shape[1]),
         distant=g.eye.ndim == 2,
         lobes=g.table.shape[1],
         map=side(g.maps.shape[1]),

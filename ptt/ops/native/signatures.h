@@ -91,7 +91,7 @@ struct Shine {
     float *line, *out;           // scratch (n, 3), and (points, 3)
     int64_t n, points, sources, near_sources;  // sources: lamps
     float sharpness, blur;                     // of a lobe of level 1; of lobes in which others show lamps
-    float alone;                               // level of lobes that see one point alone
+    float alone, close;                        // of lobes that see one point alone; what these reflect of it as parts
     int32_t distant, lobes, map;  // map: the side of the grid, with the border
     int32_t threads;
 };

@@ -58,7 +58,9 @@ def inputs(
     )
     light = GlossLight(maps, rotations(1, g)[0].contiguous(), *of_lamps)
     eye = directions(n, g).T.contiguous() if distant else torch.ones(3)
-    return Inputs(points, eye, words(n, WORDS, g), Gloss(Lobes(table, turns), values, table[:0], table[:0], sharp=False), light)
+    return Inputs(
+        points, eye, words(n, WORDS, g), Gloss(Lobes(table, turns), values, table[:0], table[:0], sharp=False), light
+    )
 
 
 def words(n: int, count: int, g: torch.Generator) -> Tensor:
@@ -87,6 +89,10 @@ def surroundings(n: int, p: int, g: torch.Generator) -> Around:
     """Of noise, but for the rows of a region's table, which are alike, so that rounding chooses none of them."""
     normals = torch.randn(n, MEETS * MEETS, 3, generator=g)
     meets = meets_packed(torch.randint(-1, p, (n, MEETS * MEETS), generator=g).int(), normals)
+    one_met = meets_packed(  # by each row: rounding chooses no cell
+        torch.randint(-1, p, (7, 1), generator=g).int().expand(-1, MEETS * MEETS),
+        torch.randn(7, 1, 3, generator=g).expand(-1, MEETS * MEETS, -1),
+    )
     numbers = torch.stack((torch.randint(7, (p,), generator=g), TILTS * torch.randint(3, (p,), generator=g)), 1)
     records = torch.cat((rotations(p, g).flatten(1), numbers.float(), torch.zeros(p, RECORD - 11)), 1)
     tables = rows(3, g).repeat_interleave(TILTS, 0)
@@ -99,7 +105,7 @@ def surroundings(n: int, p: int, g: torch.Generator) -> Around:
         records,
         torch.rand(p, SENT, generator=g),
         words(7, WORDS, g),
-        meets_packed(torch.randint(-1, p, (7, MEETS * MEETS), generator=g).int(), normals[:7]),
+        one_met,
         tables,
         parts,
         maps,

@@ -107,7 +107,13 @@ def shine() -> None:
     seen = torch.randint(0, 2**31, (n, WORDS), generator=generator()).int()
     frame = torch.eye(3)[:, :, None].repeat(1, 1, n)
     surface = SurfaceBlocks(uniform(3, n), frame, None, torch.empty(0), torch.arange(n - 3))
-    gloss = Gloss(Lobes(uniform(TILTS, 3, 7), 1), uniform(TILTS, RINGS, SECTORS, 3), uniform(TILTS, ROW), uniform(TILTS, PARTS, ROW), sharp=False)
+    gloss = Gloss(
+        Lobes(uniform(TILTS, 3, 7), 1),
+        uniform(TILTS, RINGS, SECTORS, 3),
+        uniform(TILTS, ROW),
+        uniform(TILTS, PARTS, ROW),
+        sharp=False,
+    )
     meets = torch.arange(n * MET, dtype=torch.int32).reshape(n, -1) % 4 - 1
     records = torch.cat((torch.eye(3).flatten().expand(3, -1), torch.zeros(3, RECORD - 9)), 1)
     maps = uniform(LEVELS, 36, 4)
