@@ -24,7 +24,9 @@ import ptt
 from bench.against import without_bounces
 from bench.machine import SETS, printed
 from bench.metals_measured import measured
+from bench.metals_seen import Seen
 from bench.metals_speed import COUNTS, GOLD
+from bench.metals_unshadowed import unshadowed
 from bench.table import ROOT, Table
 from ptt.materials.shapes import GGX
 from ptt.ops.cells import gloss_of
@@ -43,11 +45,9 @@ PLASTICS = {
     "plastic, roughness 0.4": ptt.ggx((0.3, 0.08, 0.05), 1.0, 0.04, 0.4),
 }
 TRADED = ("gold, roughness 0.3", "gold, roughness 0.5", "plastic, roughness 0.2")
-PARTS = ("furnace", "measured", "suzanne", "dragon", "engine")  # the first two without a scene
+PARTS = ("furnace", "measured", "unshadowed", "suzanne", "dragon", "engine")
 MAPS = ("uffizi.hdr", "grace.hdr", "interior.exr")
 FORMS = {"tensor": ("tensor", None), "lobes": ("lobes", None), "lobes, 48": ("lobes", 48)}
-GRAZING = 0.34  # cosine of 70 degrees
-NEGATIVE = -1e-3  # of the mean
 
 
 def main() -> None:
@@ -57,12 +57,14 @@ def main() -> None:
     options = parser.parse_args()
     if "PTT_DATA" not in os.environ:
         parser.error("set PTT_DATA to the folder with meshes and hdri")
-    for name in options.only[: 3 if options.quick else None]:
+    for name in options.only[: 4 if options.quick else None]:
         table = Table("metals")
         if name == "furnace":
             _furnace(table)
         elif name == "measured":
             measured(table, 2 if options.quick else None)
+        elif name == "unshadowed":
+            unshadowed(table, METALS | PLASTICS, MAPS, *((100, 64) if options.quick else (500, 1024)))
         else:
             _rows(table, name, *((100, 64) if options.quick else (500, 512)))
         if not options.quick:
@@ -80,7 +82,7 @@ def _rows(table: Table, name: str, vertices: int, samples: int) -> None:
         how = f"{len(scene.vertices)} vertices, two bounces"
         table.row(f"{name}, {kind}, size", model.bytes / 1e6, "MB", how)
     _speed(table, name, models)
-    _errors(table, scene, name, models, _Seen(scene, vertices), samples)
+    _errors(table, scene, name, models, Seen(scene, vertices), samples)
 
 
 def _speed(table: Table, name: str, models: dict[str, ptt.TransferModel]) -> None:
@@ -94,7 +96,7 @@ def _speed(table: Table, name: str, models: dict[str, ptt.TransferModel]) -> Non
 
 
 def _errors(
-    table: Table, scene: ptt.Scene, name: str, models: dict[str, ptt.TransferModel], seen: _Seen, samples: int
+    table: Table, scene: ptt.Scene, name: str, models: dict[str, ptt.TransferModel], seen: Seen, samples: int
 ) -> None:
     region = scene.regions[0].name
     direct = {kind: without_bounces(model) for kind, model in models.items()}
@@ -125,7 +127,7 @@ def _trade(
     model: ptt.TransferModel,
     light: ptt.Environment,
     given: dict[str, ptt.Material],
-    seen: _Seen,
+    seen: Seen,
     truth: ptt.reference.Estimate,
 ) -> None:
     """Errors by the number of lobes; their speed is `bench.metals_speed`'s."""
@@ -186,45 +188,6 @@ def _less(total: ptt.reference.Estimate, part: ptt.reference.Estimate) -> ptt.re
     """The difference of two estimates that know nothing of each other."""
     noise = (total.standard_error.square() + part.standard_error.square()).sqrt()
     return ptt.reference.Estimate(total.mean - part.mean, noise)
-
-
-class _Seen:
-    """Some vertices of a scene's first region that face its eye."""
-
-    def __init__(self, scene: ptt.Scene, count: int) -> None:
-        self.scene = scene
-        self.eye = torch.as_tensor(scene.camera.eye, dtype=torch.float32)
-        self.own = scene.vertex_region == 0
-        toward = scene.camera.toward(scene.points)
-        cosine = (toward * scene.frames[:, 2]).sum(1)
-        facing = torch.nonzero(self.own & (cosine > 0.05))[:, 0]
-        some = torch.randperm(len(facing), generator=torch.Generator().manual_seed(0))[:count]
-        self.rows = facing[some].sort().values
-        self.toward = toward[self.rows]
-        self.steep = cosine[self.rows] > GRAZING
-
-    def truth(
-        self, light: ptt.Environment, materials: dict[str, ptt.Material], bounces: int, samples: int
-    ) -> ptt.reference.Estimate:
-        """Light at the vertices."""
-        points = ptt.reference.vertex_points(self.scene).take(self.rows)
-        every = self.scene.materials | materials
-        return ptt.reference.radiance(self.scene, light, every, points, self.toward, bounces=bounces, samples=samples)
-
-    def errors(self, table: Table, what: str, radiance: Tensor, truth: ptt.reference.Estimate, goal: str) -> None:
-        """Rows of one picture: steep and grazing views."""
-        for name, rows, bound in (("steep", self.steep, goal), ("grazing", ~self.steep, goal and "<= 0.1")):
-            size = truth.mean[rows].square().mean().sqrt()
-            noise = truth.standard_error[rows].square().mean()
-            excess = (radiance[self.rows][rows] - truth.mean[rows]).square().mean() - noise
-            how = f"{int(rows.sum())} vertices, noise of the reference {float(noise.sqrt() / size):.3f}, taken out"
-            table.row(f"{what}, {name}", float(excess.clamp(min=0).sqrt() / size), "relative RMSE", how, bound)
-
-    def negative(self, table: Table, what: str, radiance: Tensor, goal: str) -> None:
-        """The share of vertices of the whole object with a negative value."""
-        own = radiance[self.own]
-        below = float((own < NEGATIVE * own.mean()).any(1).double().mean())
-        table.row(f"{what}, negative", below, "of the vertices", f"below {NEGATIVE} of the mean", goal and "<= 0.001")
 
 
 if __name__ == "__main__":

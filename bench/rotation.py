@@ -48,6 +48,7 @@ OPTIONS: dict[str, dict[str, int]] = {
     "64 terms": {"terms": 64},
     "96 terms": {"terms": 96},
     "128 terms": {"terms": 128},
+    "default": {},
     "rank 32": {"rank": 32},
 }
 
@@ -153,13 +154,16 @@ def views(table: Table, scenes: dict[str, ptt.Scene], light: ptt.Environment, n:
         rotate = ptt.LightRotation.build(n, 32)
         v = len(scene.vertices)
         for kind, options in OPTIONS.items():
-            relighter = ptt.EnvMapRelighter(scene, rotate, **options)  # type: ignore[arg-type]
+            own = rotate if options else None
+            relighter = ptt.EnvMapRelighter(scene, own, **options)  # type: ignore[arg-type]
+            own = relighter.rotation
             camera = iter(cameras)
             lit = turns(light)
             took = median_seconds(lambda: relighter(light, given, next(camera)), 15)  # noqa: B023
-            kept = next(iter(options.values()))
+            kept = relighter.rank or relighter.terms
             read = v * (4 * kept * 4 + 100)
-            how = f"{v} vertices, {kind}, N {n}^2, 32 x 32 normals, gold metallic paint; {setting()}"
+            sampled = f"{own.normals} x {own.normals} normals"
+            how = f"{v} vertices, {kept} terms, N {own.n}^2, {sampled}, gold metallic paint; {setting()}"
             limit = f"{bandwidth / read:.4g} to read four slices and the geometry of every vertex"
             table.row(
                 f"view change, {name}, {kind}",

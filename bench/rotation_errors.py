@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -83,7 +84,7 @@ def errors(
 ) -> Iterator[tuple[ptt.EnvMapRelighter, Body, str, str]]:
     """A row for every body and glossy material; what made it, and its note."""
     for body in bodies:
-        relighter = ptt.EnvMapRelighter(body.scene, rotate)
+        relighter = ptt.EnvMapRelighter(body.scene, rotate, lamps=False)
         for material in GLOSSY:
             noted = f"{how}; {GLOSSY[material]}, noise of the reference {body.noise[material]:.4f}"
             value = body.error(relighter, light, material)
@@ -153,17 +154,19 @@ def accuracy(table: Table, bodies: Sequence[Body], light: ptt.Environment, sizes
     for body in bodies:
         for material in GLOSSY:
             for n in sizes:
-                relighter = ptt.EnvMapRelighter(body.scene, ptt.LightRotation.build(n, 32))
+                relighter = ptt.EnvMapRelighter(body.scene, ptt.LightRotation.build(n, 32), lamps=False)
                 value = body.error(relighter, light, material)
                 table.row(f"accuracy, N {n}^2, {body.name} {material}", value, "relative RMSE", "32 x 32 normals")
     body = bodies[0]
     n = sizes[-2]
     for samples in (1, 2, 4, 8):
-        relighter = ptt.EnvMapRelighter(body.scene, ptt.LightRotation.build(n, 32, samples=samples))
+        rotate = ptt.LightRotation.build(n, 32, samples=samples)
+        relighter = ptt.EnvMapRelighter(body.scene, rotate, lamps=False)
         value = body.error(relighter, light, "nickel")
         table.row(f"accuracy, {samples} x {samples} samples, {body.name} nickel", value, "relative RMSE", f"N {n}^2")
     for keep in (64, 128, 256, 512, 1024):
-        relighter = ptt.EnvMapRelighter(body.scene, ptt.LightRotation.build(n, 32), keep=keep if keep < n * n else None)
+        few = keep if keep < n * n else None
+        relighter = ptt.EnvMapRelighter(body.scene, ptt.LightRotation.build(n, 32), keep=few, lamps=False)
         for material in GLOSSY:
             value = body.error(relighter, light, material)
             table.row(f"accuracy, light of {keep} terms, {body.name} {material}", value, "relative RMSE", f"of {n}^2")
@@ -172,12 +175,13 @@ def accuracy(table: Table, bodies: Sequence[Body], light: ptt.Environment, sizes
 def small_lamps(table: Table, ball: ptt.Scene, light: ptt.Environment, counts: int, samples: int) -> None:
     """Under a map whose lamps are smaller than a cell: where N ends."""
     body = Body.of("sphere", ball, light, counts, samples)
-    for n in (64, 128):
-        relighter = ptt.EnvMapRelighter(ball, ptt.LightRotation.build(n, 32))
+    for n, lamps in itertools.product((64, 128), (False, True)):
+        relighter = ptt.EnvMapRelighter(ball, ptt.LightRotation.build(n, 32), lamps=lamps)
         for material in (*GLOSSY, DULL):
             value = body.error(relighter, light, material)
             noise = f"noise of the reference {body.noise[material]:.4f}"
-            table.row(f"grace, N {n}^2, sphere {material}", value, "relative RMSE", f"32 x 32 normals; {noise}")
+            what = f"grace, N {n}^2{', lamps apart' if lamps else ''}, sphere {material}"
+            table.row(what, value, "relative RMSE", f"32 x 32 normals; {noise}")
 
 
 def figure_7(table: Table, lights: dict[str, ptt.Environment], n: int) -> None:

@@ -290,7 +290,8 @@ def in_parts(whole: Tensor) -> Tensor:
 def roots(samples: Samples) -> Tensor:
     """The root of f (turns * tilts, rings, sectors, c), for lamps."""
     sectors = SECTORS if samples.turns == 1 else 2 * SECTORS
-    return (samples.values.unflatten(1, (RINGS, sectors)) + TINY).sqrt()
+    values: Tensor = samples.values.unflatten(1, (RINGS, sectors))
+    return (values + TINY).sqrt()
 
 
 def enough(samples: Samples) -> int:

@@ -348,8 +348,10 @@ class EnvMapRelighter(Relighter):
         if not len(sent.lamps.directions):
             return by_slices
         directions, powers = sent.lamps[:2]
-        of_lamps = self._operations.reflected_lamps
-        return by_slices + of_lamps(points.position, points.frames, toward, sent.roots, directions, powers)
+        of_lamps: Tensor = self._operations.reflected_lamps(
+            points.position, points.frames, toward, sent.roots, directions, powers
+        )
+        return by_slices + of_lamps
 
     def _highlighted(self, shape: Shape) -> Highlighted:
         sampled = cells.sampled(lambda wi, wo: shape.evaluate(wi, wo)[..., None].expand(wi.shape), shape.isotropic)

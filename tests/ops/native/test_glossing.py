@@ -81,7 +81,9 @@ def in_double(x: Inputs) -> Inputs:
     gloss = x.gloss._replace(
         lobes=x.gloss.lobes._replace(table=x.gloss.lobes.table.double()), values=x.gloss.values.double()
     )
-    around = x.around and Around(*(t.double() if t is not None and t.is_floating_point() else t for t in x.around))
+    around = x.around and x.around._replace(
+        **{name: t.double() for name, t in x.around._asdict().items() if t.is_floating_point()}
+    )
     return Inputs(points, x.eye.double(), x.seen, gloss, GlossLight(*(t.double() for t in x.light)), around, x.share)
 
 
@@ -242,9 +244,10 @@ def test_reflected_lamps_agree(built: None, lamps: int, hidden: bool, distant: b
     given = (x.points.position, x.points.frame, x.eye, x.gloss.values, x.light.lamps, x.light.powers)
     through = x.light.through if hidden else None
     with native.refusals() as found:
-        got = native.reflected_lamps(*given, through)
+        got = native.reflected_lamps(*given, through=through)
     assert not found
-    expected = plain.reflected_lamps(*(t.double() for t in given), None if through is None else through.double())
+    exact = [t.double() for t in given]
+    expected = plain.reflected_lamps(*exact, through=None if through is None else through.double())
     assert got.shape == expected.shape
     torch.testing.assert_close(got.double(), expected, rtol=1e-3, atol=1e-3)  # values of noise
 
