@@ -129,7 +129,7 @@ def alone(lobes: int) -> float:
 
 def close(lobes: int) -> float:
     """What a lobe, of so many of a material, reflects of a surface from which that reflects as `PARTS` lobes."""
-    return CLOSE * FEW / lobes
+    return CLOSE * min(1, FEW / lobes)
 
 
 def rows_of(wo: Tensor, turns: int) -> tuple[Tensor, Tensor]:
