@@ -362,9 +362,9 @@ static inline void beyond(const Shine &g, const Records &of, const Part &p, Lane
     for (int c = 0; c < 3; ++c) out[c] = met.there ? out[c] : all(0);
 }
 
-// Pairs of a point of a group and a lobe of which what is seen reflects as a few lobes, side by side: where the lobe lies
-// on maps of the hemisphere, its axis in the world, how much it counts, channel by channel, the words of what the point
-// meets and of the pair of cells there, which of these two, and the point.
+// Pairs of a point of a group and a lobe of which what is seen reflects as a few lobes, side by side: where the lobe
+// lies on maps of the hemisphere, its axis in the world, how much it counts, channel by channel, the words of what the
+// point meets and of the pair of cells there, which of these two, and the point.
 struct Pairs {
     alignas(64) float a[LANES], b[LANES], world[3][LANES], weight[3][LANES];
     alignas(64) int32_t from[LANES], pair[LANES], second[LANES];
