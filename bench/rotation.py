@@ -154,8 +154,7 @@ def views(table: Table, scenes: dict[str, ptt.Scene], light: ptt.Environment, n:
         rotate = ptt.LightRotation.build(n, 32)
         v = len(scene.vertices)
         for kind, options in OPTIONS.items():
-            own = rotate if options else None
-            relighter = ptt.EnvMapRelighter(scene, own, **options)  # type: ignore[arg-type]
+            relighter = ptt.EnvMapRelighter(scene, rotate if options else None, **options)  # type: ignore[arg-type]
             own = relighter.rotation
             camera = iter(cameras)
             lit = turns(light)

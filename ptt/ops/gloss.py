@@ -214,7 +214,7 @@ def _shine(gloss: Gloss, light: GlossLight, frame: Tensor, seen: Tensor, wo: Ten
     out: Tensor = (row[..., 4:] * about).sum(1)
     if not len(light.lamps):
         return out
-    return out + _lamps(frame, wo, gloss.values, light.lamps, light.powers, light.through)
+    return out + _lamps(frame, wo, gloss.values, index, weights, light.lamps, light.powers, light.through)
 
 
 class _Met(NamedTuple):
@@ -235,29 +235,30 @@ def _from_points(around: Around, frame: Tensor, axes: Tensor, turn: Tensor, clos
     ends: in a trial on a statue of gold of roughness 0.2, from one to the other erred by 42 %, this by 25.
     """
     world = axes @ frame
-    there, met = _met(around, around.meets, axes, world, _normals(around.meets, *_cell(axes)))
+    there, met = _met(around, around.meets, axes, world)
     sent = axes.new_zeros(*axes.shape[:2], around.maps.shape[2] - 1)
     sent = sent.index_put(there, _as_one_lobe(around, met, turn))
     if around.others is None or not bool((closely > 0).any()):
         return sent
-    there, met = _met(around, around.meets, axes, world, _between_normals(around.meets, axes), closely > 0)
+    there, met = _met(around, around.meets, axes, world, closely > 0)
     parts = torch.zeros_like(sent).index_put(there, _as_parts(around, met, turn))
     return torch.lerp(sent, parts, closely[..., None])
 
 
 def _met(
-    around: Around, meets: Tensor, axes: Tensor, world: Tensor, normal: Tensor, wanted: Tensor | None = None
+    around: Around, meets: Tensor, axes: Tensor, world: Tensor, closely: Tensor | None = None
 ) -> tuple[tuple[Tensor, Tensor], _Met]:
-    """Which points see others (n, MET) about their axes (n, k, 3), local and in the world, that face them by their
-    normals (n, k, 3): their numbers and those of the axes, and what they see.
+    """Which points see others (n, MET) about their axes (n, k, 3), local and in the world, that face them: their
+    numbers and those of the axes, and what they see.
 
-    wanted (n, k) bool: the axes that are asked for; None for all
+    closely (n, k) bool: axes that alone are asked for, by normals between cells; None for all, by the nearest cells
     """
     pair, second = _cell(axes)
+    normal = _normals(meets, pair, second) if closely is None else _between_normals(meets, axes)
     number = meets.gather(1, pair + second).long()
     towards = normalize(world, dim=-1)  # between rows of a table axes are shorter
     seen = (number >= 0) & ((towards * normal).sum(-1) < 0)
-    there = torch.nonzero(seen if wanted is None else seen & wanted, as_tuple=True)
+    there = torch.nonzero(seen if closely is None else seen & closely, as_tuple=True)
     record = around.points[number[there]]
     frame = record[:, :9].unflatten(1, (3, 3))
     local = (frame @ torch.stack((normal[there], -towards[there]), 2)).unbind(2)
@@ -310,7 +311,7 @@ def _as_parts(around: Around, met: _Met, turn: Tensor) -> Tensor:
     others = around.others[rows]
 
     def next_points(axes: Tensor, world: Tensor) -> Tensor:
-        there, beyond = _met(around, others, axes, world, _normals(others, *_cell(axes)))
+        there, beyond = _met(around, others, axes, world)
         table = around.tables[_rows(beyond)][:, None]
         reflected = _reflected(around, beyond, table, lambda axes, world: torch.zeros_like(world), turn)
         sent = around.sent[beyond.number][:, 6:9] + reflected
@@ -413,18 +414,28 @@ def reflected_lamps(
     """
     wo = local_directions(position, frame, eye).T
     seen = position.new_ones(len(lamps), position.shape[1]) if through is None else through
-    rows = frame.movedim(2, 0).split(AT_ONCE)
+    frames_of = frame.movedim(2, 0).split(AT_ONCE)
+    turns = len(values) // TILTS
     parts = [
-        _lamps(some, towards, values, lamps, powers, own)
-        for some, towards, own in zip(rows, wo.split(AT_ONCE), seen.split(AT_ONCE, 1), strict=True)
+        _lamps(some, towards, values, *rows_of(towards, turns), lamps, powers, own)
+        for some, towards, own in zip(frames_of, wo.split(AT_ONCE), seen.split(AT_ONCE, 1), strict=True)
     ]
     return torch.cat(parts)
 
 
-def _lamps(frame: Tensor, wo: Tensor, values: Tensor, lamps: Tensor, powers: Tensor, through: Tensor) -> Tensor:
-    """What points with frames (n, 3, 3) reflect of lamps to local wo (n, 3), as `reflected_lamps`."""
+def _lamps(
+    frame: Tensor,
+    wo: Tensor,
+    values: Tensor,
+    rows: Tensor,
+    shares: Tensor,
+    lamps: Tensor,
+    powers: Tensor,
+    through: Tensor,
+) -> Tensor:
+    """What points with frames (n, 3, 3) reflect of lamps to local wo (n, 3), as `reflected_lamps`, by rows (n, j) of
+    values and their shares (n, j)."""
     t, r, s, c = values.shape
-    rows, shares = rows_of(wo, t // TILTS)
     wi = lamps.to(frame) @ frame.transpose(1, 2)  # shape: (n, m, 3)
     lit = wi[..., 2].clamp(min=0) * through.T
     index, weights = _on_nodes(wi, wo, r, s)

@@ -308,8 +308,8 @@ struct Others {
 };
 
 // Which points are met about axes, and which of them face away (ptt.ops.gloss._met).
-static inline void meet(const float *meets, Ints at, const Lanes *axis, Ints wanted, Met &met) {
-    met.point = (Ints)gather(meets, at);
+static inline void meet(const int32_t *meets, Ints at, const Lanes *axis, Ints wanted, Met &met) {
+    met.point = (Ints)gather((const float *)meets, at);
     Lanes cosine = all(0);
     for (int c = 0; c < 3; ++c) met.wo[c] = -axis[c], cosine += met.wo[c] * met.normal[c];
     met.there = wanted & (met.point >= 0) & (cosine > 0);
@@ -327,7 +327,7 @@ static inline void find_others(const Shine &g, int64_t v, const Look &at, Others
     for (int c = 0; c < 3; ++c) o.world[c] /= most(length, all(TINY));
     const int32_t *from = g.meets + v * MET;
     normal_of(from, o.lobe->pair, o.lobe->second, o.met.normal);
-    meet((const float *)from, o.lobe->pair + o.lobe->second, o.world, o.met.there, o.met);
+    meet(from, o.lobe->pair + o.lobe->second, o.world, o.met.there, o.met);
     ask(g.records, 4 * RECORD * o.met.point), ask(g.sent, 4 * SENT * o.met.point);
 }
 
@@ -352,7 +352,7 @@ static inline void beyond(const Shine &g, const Records &of, const Part &p, Lane
     cell_of(p.a, p.b, pair, second);
     pair += of.row * MET;
     normal_of(g.others, pair, second, met.normal);
-    meet((const float *)g.others, pair + second, axis, wanted, met);
+    meet(g.others, pair + second, axis, wanted, met);
     if (!any(met.there)) return;
     records_of(g, met, own);
     part_of(g, met, own, g.tables, own.table * ROW, whole);
@@ -382,7 +382,7 @@ static inline void take_parts(const Shine &g, int64_t v, Pairs &pairs, float (*s
     for (int c = 0; c < 3; ++c) world[c] = load(pairs.world[c]);
     const int32_t *meets = g.meets + v * MET;
     between_normals(meets, from, load(pairs.a), load(pairs.b), met.normal);
-    meet((const float *)meets, pair + second, world, lane() < pairs.count, met);
+    meet(meets, pair + second, world, lane() < pairs.count, met);
     const int count = pairs.count;
     pairs.count = 0;
     if (!any(met.there)) return;

@@ -228,51 +228,49 @@ def reflected_lamps(
     return result
 
 
-def _reflected_conditions(
-    position: Tensor,
-    frame: Tensor,
-    eye: Tensor,
-    values: Tensor,
-    lamps: Tensor,
-    powers: Tensor,
-    through: Tensor | None,
-) -> Conditions:
-    n = position.shape[1]
-    yield of_type(torch.float32, position, frame, eye, values, lamps, powers), "points and lamps must be float32"
-    yield contiguous(position, frame, values), "points and values must be contiguous"
-    yield position.shape == (3, n) and n % GROUP == 0, f"position must be (3, n), n a multiple of {GROUP}"
-    yield frame.shape == (3, 3, n), "frame must be (3, 3, n)"
-    yield eye.shape in ((3,), (3, n)), "eye must be (3,) or (3, n)"
-    yield values.shape == (TILTS, RINGS, SECTORS, 3), f"values must be ({TILTS}, {RINGS}, {SECTORS}, 3)"
-    yield lamps.shape == powers.shape == (len(lamps), 3), "lamps and powers must be (m, 3)"
-    if through is not None:
-        yield of_type(torch.float32, through) and contiguous(through), "what is seen must be float32, contiguous"
-        yield through.shape == (len(lamps), n), "what is seen of lamps must be (m, n)"
+class _ReflectedLamps(NamedTuple):
+    """The arguments in the order of the schema."""
+
+    position: Tensor
+    frame: Tensor
+    eye: Tensor
+    values: Tensor
+    lamps: Tensor
+    powers: Tensor
+    through: Tensor | None
 
 
-def _reflected_kernel(
-    position: Tensor,
-    frame: Tensor,
-    eye: Tensor,
-    values: Tensor,
-    lamps: Tensor,
-    powers: Tensor,
-    through: Tensor | None,
-) -> Tensor:
-    out = position.new_empty(position.shape[1], 3)
+def _reflected_conditions(*arguments: Any) -> Conditions:
+    g = _ReflectedLamps(*arguments)
+    n = g.position.shape[1]
+    yield of_type(torch.float32, *arguments[:6]), "points and lamps must be float32"
+    yield contiguous(g.position, g.frame, g.values), "points and values must be contiguous"
+    yield g.position.shape == (3, n) and n % GROUP == 0, f"position must be (3, n), n a multiple of {GROUP}"
+    yield g.frame.shape == (3, 3, n), "frame must be (3, 3, n)"
+    yield g.eye.shape in ((3,), (3, n)), "eye must be (3,) or (3, n)"
+    yield g.values.shape == (TILTS, RINGS, SECTORS, 3), f"values must be ({TILTS}, {RINGS}, {SECTORS}, 3)"
+    yield g.lamps.shape == g.powers.shape == (len(g.lamps), 3), "lamps and powers must be (m, 3)"
+    if g.through is not None:
+        yield of_type(torch.float32, g.through) and contiguous(g.through), "what is seen must be float32, contiguous"
+        yield g.through.shape == (len(g.lamps), n), "what is seen of lamps must be (m, n)"
+
+
+def _reflected_kernel(*arguments: Any) -> Tensor:
+    g = _ReflectedLamps(*arguments)
+    out = g.position.new_empty(g.position.shape[1], 3)
     run(
         "reflected_lamps",
-        position=position,
-        frame=frame,
-        eye=eye.contiguous(),
-        values=values,
-        lamps=lamps.contiguous(),
-        powers=powers.contiguous(),
-        through=through,
+        position=g.position,
+        frame=g.frame,
+        eye=g.eye.contiguous(),
+        values=g.values,
+        lamps=g.lamps.contiguous(),
+        powers=g.powers.contiguous(),
+        through=g.through,
         out=out,
         n=len(out),
-        sources=len(lamps),
-        distant=eye.ndim == 2,
+        sources=len(g.lamps),
+        distant=g.eye.ndim == 2,
     )
     return out
 
