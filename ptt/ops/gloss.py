@@ -31,6 +31,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -39,7 +40,6 @@ from torch.nn.functional import normalize
 
 from ptt.ops.cells import FEW, NARROWEST, Gloss, frames, octaves
 from ptt.ops.constants import (
-    BITS,
     CLOSE,
     HEAD_ON,
     LEVELS,
@@ -51,19 +51,10 @@ from ptt.ops.constants import (
     SPREAD,
     TILTS,
     TINY,
-    WIDE_SIDE,
-    WIDEST_SIDE,
 )
+from ptt.ops.hemispheres import Between, visible, visible_between
 from ptt.ops.octahedral import corners, from_octahedral, hemi_octahedral, mix, octahedral
-from ptt.ops.view import BYTE, SurfaceBlocks, local_directions
-
-SHARES = {10.0: WIDE_SIDE, 20.0: WIDEST_SIDE}
-"""Degrees that the lobes cover of which `seen` has visible shares, and cells along the edges of the maps of their axes.
-
-Bilinear lookups in maps so coarse make them 14 and 28: in a trial on 160 points (GGX of roughness 0.3 to 0.7, 16
-lobes) under two maps without lamps, shares of 14 and 28 degrees left 4.9 and 4.7 % of error, of 10 and 20 4.5 and 4.6,
-and maps of 24 x 24 cells for 7, 14 and 28 degrees, of three times the size, 4.3 and 4.1.
-"""
+from ptt.ops.view import SurfaceBlocks, local_directions
 
 SHARPNESS = (3 / math.radians(NARROWEST)) ** 2
 """The inverse variance of a lobe of level 1, of which a level more is half."""
@@ -74,6 +65,9 @@ right to about so much: in a trial on a statue under grace, gold of roughness 0.
 by 23 and 9.6 with it, and by 12 and 12 with 3 degrees."""
 
 AT_ONCE = 4096  # points that are worked out together, so that they stay in the cache
+
+Sky = Callable[[Tensor, Tensor], Tensor]
+"""The share (n, k) that points see of lobes about local axes (n, k, 3) at levels (n, k)."""
 
 
 class GlossLight(NamedTuple):
@@ -157,13 +151,15 @@ def shine(
     light: GlossLight,
     around: Around | None = None,
     share: Tensor | None = None,
+    between: Between | None = None,
 ) -> Tensor:
     """What points reflect glossily to the eye (v, c), for an eye (3,) or unit directions (3, n) to it.
 
     seen (n, words) int32: what is seen of the hemisphere, a bit for each cell of a `HemiOctahedral` map, and then a
-        byte for each cell of those of `SHARES`: the visible share of a lobe about it
+        byte for each cell of those of `hemispheres.SHARES`: the visible share of a lobe about it
     around: what sends light where the sky is hidden; None for direct light alone
     share (c, n): how much of the material there is at each point; None for all
+    between: where points lie between places, which `seen` is of then; None where it is their own
     """
     wo = local_directions(points.position, points.frame, eye).T
     frame = points.frame.movedim(2, 0)  # shape: (n, 3, 3)
@@ -172,7 +168,8 @@ def shine(
         some = slice(first, first + AT_ONCE)
         near = None if around is None else around._replace(mean=around.mean[:, some], meets=around.meets[some])
         lit = light._replace(through=light.through[:, some])
-        parts.append(_shine(gloss, lit, frame[some], seen[some], wo[some], near))
+        sky = _sky(seen, frame, some, between)
+        parts.append(_shine(gloss, lit, frame[some], sky, wo[some], near))
     out = torch.cat(parts)
     return (out if share is None else out * share.T).index_select(0, points.place)
 
@@ -194,14 +191,22 @@ def lamp_visibility(visible: Tensor, cells: Tensor, shares: Tensor) -> Tensor:
     return seen
 
 
-def _shine(gloss: Gloss, light: GlossLight, frame: Tensor, seen: Tensor, wo: Tensor, around: Around | None) -> Tensor:
+def _sky(seen: Tensor, frame: Tensor, some: slice, between: Between | None) -> Sky:
+    """What some points see of the sky, with frames (n, 3, 3)."""
+    if between is None:
+        return partial(visible, seen[some])
+    own = between._replace(rows=between.rows[some], weights=between.weights[some])
+    return lambda axes, level: visible_between(seen, own, axes @ frame[some], level)
+
+
+def _shine(gloss: Gloss, light: GlossLight, frame: Tensor, sky: Sky, wo: Tensor, around: Around | None) -> Tensor:
     """What points (n, ...) send out (n, c)."""
     table, turns = gloss.lobes
     index, weights = rows_of(wo, turns)
     row = mix(table.flatten(1), index, weights).unflatten(1, table.shape[1:])  # shape: (n, lobes, 4 + c)
     level = row[..., 3]
     axes = row[..., :3] @ frames(wo)
-    through = visible(seen, axes, level)
+    through = sky(axes, level)
     about = blurred(light.maps, axes @ frame @ light.turn, level)
     about = about * through[..., None]
     if around is not None:
@@ -365,35 +370,6 @@ def blurred(maps: Tensor, axes: Tensor, level: Tensor) -> Tensor:
     mixed = torch.cat((weights * (1 - share), weights * share), -1).flatten(0, 1)
     about: Tensor = mix(flat, both, mixed)[:, :3].reshape(axes.shape)
     return about
-
-
-def visible(seen: Tensor, axes: Tensor, level: Tensor) -> Tensor:
-    """The share (n, k) that points see of lobes about local axes (n, k, 3), between those of the widths next to theirs:
-    bits at level 1, and the maps of `SHARES`."""
-    first = BITS * BITS // 8  # byte
-    shares = [bits_at(seen, axes)]
-    for side in SHARES.values():
-        shares.append(_bytes_at(seen.view(torch.uint8)[:, first : first + side * side], axes))
-        first += side * side
-    at = (level - 1) / 4
-    through = torch.lerp(shares[0], shares[1], at.clamp(0, 1))
-    through = torch.lerp(through, shares[2], (2 * at - 2).clamp(0, 1))
-    return through
-
-
-def bits_at(seen: Tensor, axes: Tensor) -> Tensor:
-    """The bilinear mean (n, k) of bits about local directions (n, k, 3)."""
-    index, weights = corners(hemi_octahedral(axes), BITS, wrap=False)
-    words = seen.gather(1, (index >> 5).flatten(1)).view_as(index)
-    mean: Tensor = ((words >> (index & 31)) & 1).to(weights).mul(weights).sum(-1)
-    return mean
-
-
-def _bytes_at(shares: Tensor, axes: Tensor) -> Tensor:
-    """The bilinear mean (n, k) of shares (n, cells) uint8 about local directions (n, k, 3)."""
-    index, weights = corners(hemi_octahedral(axes), math.isqrt(shares.shape[1]), wrap=False)
-    mean: Tensor = shares.gather(1, index.flatten(1)).view_as(index).to(weights).mul(weights).sum(-1) / BYTE
-    return mean
 
 
 def reflected_lamps(

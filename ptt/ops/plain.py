@@ -2,6 +2,7 @@
 
 from ptt.ops.cells import cell_sums
 from ptt.ops.gloss import lamp_visibility, reflected_lamps, shine
+from ptt.ops.hemispheres import lamps_between, lamps_seen
 from ptt.ops.latlong import octahedral_means
 from ptt.ops.near import of_frames, of_texels, of_views
 from ptt.ops.relight import eigen, expand, light_eigen, lighting
@@ -17,6 +18,8 @@ __all__ = [
     "eigen",
     "expand",
     "lamp_visibility",
+    "lamps_between",
+    "lamps_seen",
     "light_eigen",
     "lighting",
     "local_light",

@@ -1,11 +1,13 @@
 """Shading by triple products on the triangles of a level (Ma et al. 2006, sections 3.3 and 4.2).
 
     B[p, c] = 20 / n sum over t of  L[p, c, t] V[p, t] F[p, c, t]
+            + sum over i of  a[i, p, c] D[i, r, c] colour[p, c] E[p, c]
     F[p, c] = sum over i of  a[i, p, c] (D[i, r, c] colour[p, c] F_0 + S[i, r, c] G[i, p])
 
 The three functions are interpolated at every point, and then multiplied: L between the frames that light was rotated
 into, V between vertices or texels, G, the specular BRDF, between directions of view. F_0 is Lambert's BRDF; D and S are
-the weights of the region r of the point for each of its coats i, and a[i, p, c] how much of that there is.
+the weights of the region r of the point for each of its coats i, and a[i, p, c] how much of that there is. E is what
+Lambert's BRDF reflects of lamps that L is without.
 
 All in the frame of the point (`ops.local`), n values for each function: a level of `ops.geodesic`.
 """
@@ -76,22 +78,29 @@ class ShadedPoints(NamedTuple):
         )
 
 
-def shade(functions: Functions, coats: RegionCoats, at: ShadedPoints) -> Tensor:
-    """B (p, c); differentiable in the light, the weights and the colours."""
+def shade(functions: Functions, coats: RegionCoats, at: ShadedPoints, lamps: Tensor | None = None) -> Tensor:
+    """B (p, c); differentiable in the light, the weights and the colours.
+
+    lamps (p, c): E; None where the light has them
+    """
     most = _RECORDED if functions.light.values.requires_grad else _VALUES
     parts = spans(len(at.region), most // functions.light.values[0].numel())
-    return torch.cat([_shaded(functions, coats, at.part(*some)) for some in parts])
+    return torch.cat(
+        [_shaded(functions, coats, at.part(*some), None if lamps is None else lamps[slice(*some)]) for some in parts]
+    )
 
 
-def _shaded(functions: Functions, coats: RegionCoats, at: ShadedPoints) -> Tensor:
+def _shaded(functions: Functions, coats: RegionCoats, at: ShadedPoints, lamps: Tensor | None) -> Tensor:
     light, visibility, dull, glossy = functions
     region = at.region.long()
     seen = at.seen.mix(Table(visibility, dull.new_tensor(1 / BYTE).expand(len(visibility))))
     lit = at.light.mix(light) * seen[:, None]  # shape: (p, c, n)
-    matt = at.colour * (lit @ dull.to(lit))
+    area = ROOTS / len(dull)
+    matt = area * (lit @ dull.to(lit))
+    matt = at.colour * (matt if lamps is None else matt + lamps)
     total = torch.zeros_like(matt)
     for diffuse, specular, first, share in zip(*coats, at.shares, strict=True):
         mirrored = at.view._replace(rows=at.view.rows + first[region][:, None]).mix(glossy)
-        shine = (lit * mirrored[:, None]).sum(2)
+        shine = area * (lit * mirrored[:, None]).sum(2)
         total = total + share * (diffuse[region] * matt + specular[region] * shine)
-    return total * (ROOTS / len(dull))
+    return total

@@ -15,6 +15,7 @@ from functools import cache
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import max_pool2d
 
 from ptt.ops import lobes
 from ptt.ops.constants import NORMAL, NOTHING
@@ -126,19 +127,17 @@ def lobe_visibility(
 
     Sun et al. 2007, section 4.1.
     """
-    filters = _lobe_filters(cells, fine, tuple(angles))  # shape: (fine * fine, cells * cells * k)
     local = HemiOctahedral(fine).directions().reshape(-1, 3).to(frames)
     parts = []
     for some, turned in zip(bits.split(POINTS_AT_ONCE), frames.split(POINTS_AT_ONCE), strict=True):
-        at = grid.cell(local @ turned)  # shape: (b, fine * fine)
-        visible = unpack(some, grid.cells).gather(1, at).to(filters)
-        parts.append((visible @ filters).mul_(255).round_().to(torch.uint8))
+        seen = unpack(some, grid.cells).gather(1, grid.cell(local @ turned))
+        parts.append(_through(seen, cells, fine, tuple(angles)))
     return torch.cat(parts).reshape(len(bits), cells * cells, len(angles))
 
 
-def local_bits(bits: Tensor, frames: Tensor, grid: Cube, cells: int) -> Tensor:
-    """What points see of their own hemispheres, packed (v, cells * cells / 32) int32: a bit for each cell of a
-    `HemiOctahedral` map with so many along an edge.
+def hemispheres(bits: Tensor, frames: Tensor, grid: Cube, cells: int, shares: Mapping[float, int]) -> Tensor:
+    """What points see of their own hemispheres (v, words) int32: a bit for each cell of a `HemiOctahedral` map with so
+    many along an edge, then a byte for each cell of the `lobe_visibility` of lobes of some degrees, on maps of so many.
 
     bits, frames, grid: as for `lobe_visibility`
     """
@@ -146,19 +145,48 @@ def local_bits(bits: Tensor, frames: Tensor, grid: Cube, cells: int) -> Tensor:
     parts = []
     for some, turned in zip(bits.split(POINTS_AT_ONCE), frames.split(POINTS_AT_ONCE), strict=True):
         seen = unpack(some, grid.cells).gather(1, grid.cell(local @ turned))
-        packed = np.packbits(seen.numpy(), axis=1, bitorder="little")
-        parts.append(torch.from_numpy(packed).view(torch.int32))
+        parts.append(_packed(seen, cells, shares))
     return torch.cat(parts)
 
 
-def hemispheres(bits: Tensor, frames: Tensor, grid: Cube, cells: int, shares: Mapping[float, int]) -> Tensor:
-    """What points see of their own hemispheres (v, words) int32: `local_bits`, then a byte for each cell of the
-    `lobe_visibility` of lobes of some degrees, on maps of so many cells along an edge.
+def traced_hemispheres(
+    surface: Surface, points: Tensor, frames: Tensor, cells: int, shares: Mapping[float, int]
+) -> Tensor:
+    """The same as `hemispheres`, by a ray through the middle of every fourth of the cells, and of those whose
+    neighbours differ: in a trial on a statue four times fewer rays than cells, and as right under lamps."""
+    coarse, fine = (HemiOctahedral(side).directions().reshape(-1, 3).to(frames) for side in (cells // 2, cells))
+    parts = []
+    for some, turned in zip(points.split(POINTS_AT_ONCE), frames.split(POINTS_AT_ONCE), strict=True):
+        origins = surface.offset(some, turned[:, 2])
+        hidden = surface.occluded(origins.repeat_interleave(len(coarse), 0), (coarse @ turned).flatten(0, 1))
+        seen, point, cell = _refined(~hidden.reshape(len(some), cells // 2, -1))
+        directions = (fine[cell, None] @ turned[point])[:, 0]
+        seen[point, cell] = ~surface.occluded(origins[point], directions)
+        parts.append(_packed(seen, cells, shares))
+    return torch.cat(parts)
 
-    bits, frames, grid: as for `lobe_visibility`
-    """
-    wide = [lobe_visibility(bits, frames, grid, side, (angle,))[..., 0] for angle, side in shares.items()]
-    return torch.cat((local_bits(bits, frames, grid, cells), torch.cat(wide, 1).view(torch.int32)), 1)
+
+def _refined(seen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """What is seen of cells (v, n, n) bool, of their quarters (v, 4 n n), and the points (k,) and quarters (k,) whose
+    cells differ from a neighbour."""
+    share = seen[:, None].float()
+    most, least = max_pool2d(share, 3, 1, 1), -max_pool2d(-share, 3, 1, 1)
+    differ, fine = ((each.repeat_interleave(2, 1).repeat_interleave(2, 2)) for each in ((most != least)[:, 0], seen))
+    point, cell = differ.flatten(1).nonzero(as_tuple=True)
+    return fine.flatten(1), point, cell
+
+
+def _packed(seen: Tensor, cells: int, shares: Mapping[float, int]) -> Tensor:
+    """Words (v, words) int32 of what is seen (v, cells * cells) bool of the cells of a map of the hemisphere."""
+    packed = torch.from_numpy(np.packbits(seen.numpy(), axis=1, bitorder="little"))
+    wide = [_through(seen, side, cells, (angle,)) for angle, side in shares.items()]
+    return torch.cat((packed, *wide), 1).view(torch.int32)
+
+
+def _through(seen: Tensor, cells: int, fine: int, angles: tuple[float, ...]) -> Tensor:
+    """The share (v, cells * cells * k) uint8 of lobes of which fine cells are seen (v, fine * fine)."""
+    filters = _lobe_filters(cells, fine, angles)
+    return (seen.to(filters) @ filters).mul_(255).round_().to(torch.uint8)
 
 
 @cache

@@ -27,20 +27,18 @@ from ptt.models.clustered_transfer import ClusteredTransfer
 from ptt.models.indirect import COARSE, COARSEST
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import haar
-from ptt.ops.cells import Gloss, gloss_of, in_parts, width
+from ptt.ops.cells import Gloss, in_parts
 from ptt.ops.compiling import in_python, opaque, uncompiled
-from ptt.ops.constants import LEVELS, RECORD, ROW, SENT, TILTS, TINY
+from ptt.ops.constants import RECORD, ROW, SENT, TILTS, TINY
 from ptt.ops.gloss import Around, GlossLight
 from ptt.ops.relight import expand
 from ptt.ops.sphere import Cube
 from ptt.ops.view import SurfaceBlocks
 from ptt.relight.cluster_steps import RegionPoints, slot_weights, varying_functions
+from ptt.relight.glosses import WIDTHS, Glosses, light_for
 from ptt.relight.light_step import LightStep, SplitLight
 from ptt.relight.operations import operations
 
-WIDTHS = (0.0, *(width(level) for level in range(1, LEVELS)))
-"""Degrees that lobes cover, by their levels; the first is as narrow as the maps are."""
-MOST_GLOSSES = 32  # tables of lobes that are kept: a textured metal has 26, which changes of colour leave as they are
 OPEN = 0.02  # of the hemisphere: what a point sees of surfaces counts as at least as much where their mean is taken
 
 
@@ -108,7 +106,6 @@ class LobeSteps(nn.Module):
         assert model.basis is not None
         self.model = model
         self.basis = model.basis
-        self.count = lobes
         self.light = LightStep(model.grid, WIDTHS, compiled, lamps=True)
         self._operations = operations(compiled)
         self.own = [slice(first, end) for first, end in model.receivers.spans]
@@ -132,7 +129,7 @@ class LobeSteps(nn.Module):
         for points, region in zip(self.points, model.clustered, strict=True):
             points.register_buffer("hidden", 1 - self._sky(region, even), persistent=False)
         self._materials = [Cache() for _ in model.clustered]
-        self._glosses = Cache(MOST_GLOSSES)
+        self._glosses = Glosses(lobes, self._operations)
 
     @staticmethod
     def _others(model: TransferModel) -> Tensor | None:
@@ -228,16 +225,7 @@ class LobeSteps(nn.Module):
 
     def _layer(self, material: Material, share: Tensor | None) -> LobeLayer:
         albedo = material.diffuse.to(self.basis.table) / math.pi
-        if not material.shining:
-            return LobeLayer(albedo, None, share)
-        made = self._glosses(
-            material.highlights,
-            lambda: gloss_of(material.glossy, material.isotropic, self.count, self._operations.cell_sums),
-        )
-        lobes = made.lobes._replace(table=made.lobes.table.to(albedo))
-        whole, parts = made.whole.to(albedo), made.parts.to(albedo)
-        gloss = Gloss(lobes, made.values.to(albedo), whole, parts, made.sharp)
-        return LobeLayer(albedo, gloss, share)
+        return LobeLayer(albedo, self._glosses(material, albedo), share)
 
     @uncompiled
     def exitant(self, light: LobeLight, materials: Sequence[Material]) -> list[LobeRegion]:
@@ -336,20 +324,12 @@ def _lit(material: LobeMaterial, light: SplitLight, through: Tensor) -> list[tup
     return [
         (
             layer.gloss,
-            _light_for(layer.gloss, light, through),
+            light_for(layer.gloss, light, through),
             None if layer.share is None else layer.share.T.contiguous(),
         )
         for layer in material.layers
         if layer.gloss is not None
     ]
-
-
-def _light_for(gloss: Gloss, light: SplitLight, through: Tensor) -> GlossLight:
-    """The light of a material's narrow lobes: a sharp one sees lamps as they are on the maps, areas or not."""
-    if gloss.sharp:
-        none = through.new_zeros(0, 3)
-        return GlossLight(light.whole.maps, light.whole.turn, none, none, through[:0])
-    return GlossLight(light.rest.maps, light.rest.turn, light.lamps.directions, light.lamps.powers, through)
 
 
 def _some(values: Tensor, share: Tensor | None) -> Tensor:

@@ -14,7 +14,6 @@ from ptt.materials.varying import SurfaceMaterial, same
 from ptt.models.cache import Cache
 from ptt.models.transfer_model import TransferModel
 from ptt.ops.compiling import in_python, uncompiled
-from ptt.ops.constants import MOST_CELLS
 from ptt.relight.cluster_steps import ClusterSteps
 from ptt.relight.lobe_steps import LobeSteps
 from ptt.relight.point_steps import PointSteps
@@ -52,8 +51,6 @@ class TransferRelighter(Relighter):
 
     def __init__(self, model: TransferModel, compiled: bool = True, lobes: int | None = None) -> None:
         super().__init__(compiled, self.sources_by_highlights[model.highlights])
-        if lobes is not None and not 1 <= lobes <= MOST_CELLS:
-            raise ValueError(f"lobes must be in 1..{MOST_CELLS}, got {lobes}")
         self.model = model
         self.steps = _steps(model, compiled, lobes).to(model.positions.device)
         self._sources = list(model.modules())

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import zip_longest
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import torch
 from torch import Tensor, nn
@@ -19,65 +19,58 @@ from ptt.materials.shapes import Shape, is_mirror_symmetric, reflecting_all
 from ptt.materials.varying import SurfaceMaterial
 from ptt.models.cache import Cache, watched
 from ptt.ops import haar, local, rotation
+from ptt.ops.cells import Gloss
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.geodesic import Geodesic
+from ptt.ops.hemispheres import Between
 from ptt.ops.memory import in_large_pages
 from ptt.ops.near import Near
 from ptt.ops.octahedral import Octahedral
 from ptt.ops.rotation import Resampling
 from ptt.ops.shade import Functions, RegionCoats, ShadedPoints
 from ptt.ops.table import Table, stored
-from ptt.relight.light_step import LightStep
+from ptt.relight.glosses import WIDTHS, Glosses
+from ptt.relight.light_step import LightStep, SplitLight
 from ptt.relight.operations import operations
 from ptt.relight.relighter import Relighter
 from ptt.relight.shape_tables import ShapeTables
+from ptt.relight.shining_points import LampLight, by_groups, shining
+from ptt.relight.triple_points import CoatedPoints, PointLookups, RelitPoints, SurfacePoints, coated, located
+from ptt.relight.triple_tables import check_memory, hemispheres, places_of, triangles, turned
 from ptt.relight.viewpoint import View, eye_of, glow_of
 from ptt.scene.scene import Scene
 
 Storage = Literal["float", "16-bit", "8-bit"]
 """How light and BRDFs are kept: as they are, or a row at a time, each with a scale of its own."""
 
+Highlights = Literal["lobes", "triangles"]
+"""How highlights are reflected: by narrow lobes, with lamps apart, or as the paper has it, on the triangles."""
+
 STORAGE = {"float": torch.float32, "16-bit": torch.float16, "8-bit": torch.uint8}
-BLOCK = 2048  # points whose visibility is traced at once
 FINEST = 7  # level
-MEMORY = 8e9  # bytes that all tables together may take
-OPERATOR = 32  # of the rotation operator, for a triangle of a frame
 PREROTATED = 64, 8  # cells along the edge of the light's map, and samples along that of a triangle
+VIEWS = 4  # directions between which the BRDF is interpolated
 FRAMES = 512  # that light is rotated to at once
 NO_COAT = Material(0.0)
 
 
-class PointLookups(NamedTuple):
-    """Points that are shaded: where their light and visibility are found, and their surface.
+class RotatedLight(NamedTuple):
+    """Under one light: it in every frame (f, 3, n); where lobes reflect, without its lamps, and the light as these see
+    it, and how much of each lamp the places see (m, places)."""
 
-    light, seen: rows of the tables; positions (p, 3), frames (p, 3, 3), region (p,) int32, colour (p, 3)
-    triangle (p,), barycentric (p, 3): where on the mesh
-    """
-
-    light: Near
-    seen: Near
-    positions: Tensor
-    frames: Tensor
-    region: Tensor
-    colour: Tensor
-    triangle: Tensor
-    barycentric: Tensor
-
-
-class CoatedPoints(NamedTuple):
-    """What points are coated with: the group of layers (p,) int32, those of all regions one after the other; how much
-    of each of its layers (i, p, 3); the base colour (p, 3)."""
-
-    group: Tensor
-    shares: Tensor
-    colour: Tensor
+    frames: Table
+    split: SplitLight | None
+    through: Tensor | None
 
 
 class Exitant(NamedTuple):
-    """With materials: the functions that are multiplied, and what the regions are coated with."""
+    """With materials: the functions that are multiplied, and what the regions are coated with; the lobes of every
+    layer of every group, none where the triangles have the highlights; the light."""
 
     functions: Functions
     coats: RegionCoats
+    glosses: list[list[Gloss | None]]
+    light: RotatedLight
 
 
 @in_python
@@ -90,6 +83,9 @@ class TripleProductRelighter(Relighter):
     source: cells along the edge of the light's octahedral map; None for three or more a triangle, 32 at least
     views: along the edge of the hemi-octahedral map of view directions; 90 x 90 are as many as the paper's 128 x 64
     rays: along the edge of a triangle, for visibility, a power of two
+    highlights: by narrow lobes of each material, with lamps apart (`ptt.ops.gloss`), for which every vertex has 2.4 KB
+        of what it sees, from some 5,000 rays; or on the triangles, as in the paper, faster, and blurred to their size
+    lobes: so many of each material; None for 16, and 32 of a wide metal
     storage: of light and BRDFs (`Storage`); visibility has 8 bits
     atlas: texels that hold visibility, for meshes too coarse for shadows; None for that of the vertices
     compiled: by kernels in C++, built on first use
@@ -110,12 +106,14 @@ class TripleProductRelighter(Relighter):
     """
 
     pixels = True
-    lights = (Environment, Table)
-    sources_in_c = ("maps", "light", "rotation", "near", "shading")
+    lights = (Environment, RotatedLight)
+    sources_in_c = ("maps", "light", "rotation", "near", "shading", "cells", "gloss", "hemispheres")
     frames: Tensor
     starts: Tensor
     reads: Tensor
     visibility: Tensor
+    seen: Tensor
+    places: Tensor
     dull: Tensor
 
     def __init__(
@@ -128,6 +126,8 @@ class TripleProductRelighter(Relighter):
         source: int | None = None,
         views: int = 90,
         rays: int = 2,
+        highlights: Highlights = "lobes",
+        lobes: int | None = None,
         storage: Storage = "16-bit",
         atlas: Atlas | None = None,
         compiled: bool = True,
@@ -143,6 +143,8 @@ class TripleProductRelighter(Relighter):
                 raise ValueError(f"{name} must be in {least}..{most}, got {value}")
         if storage not in STORAGE:
             raise ValueError(f"storage must be one of {', '.join(STORAGE)}, got {storage!r}")
+        if highlights not in get_args(Highlights):
+            raise ValueError(f"highlights must be one of {', '.join(get_args(Highlights))}, got {highlights!r}")
         self.scene = scene
         self.atlas = atlas
         self.grid = Geodesic(level)
@@ -151,14 +153,19 @@ class TripleProductRelighter(Relighter):
         self.views = views
         source = max(32, 8 << level) if source is None else source
         own = rotation.frames_of(Octahedral(normals).directions().reshape(-1, 3))
-        _check_memory(self.grid.cells, len(own) * twists, views**2, len(atlas.triangle if atlas else scene.vertices))
-        self.light = LightStep(Octahedral(source), (), compiled)
+        self.narrow = highlights == "lobes"
+        places = places_of(scene, atlas)
+        check_memory(self.grid.cells, len(own) * twists, views**2, len(places[0]), self.narrow)
+        self.light = self._light_step(source)
         s = rotation.resampling(Octahedral(source), self.grid, turned(own, twists))
+        none = torch.empty(0, 0, dtype=torch.int32)
         tables = {
             "frames": own.float(),
             "starts": s.starts,
             "reads": s.reads,
-            "visibility": _traced(scene, atlas, self.grid, rays, progress),
+            "visibility": triangles(scene, places, self.grid, rays, progress),
+            "seen": hemispheres(scene, places, progress) if self.narrow else none,
+            "places": places[1].float(),
             "dull": local.cosine(self.grid),
         }
         for name, tensor in tables.items():
@@ -167,9 +174,15 @@ class TripleProductRelighter(Relighter):
         self._pixels = Cache()
         self._viewed = Cache()
         self._coated = Cache()
+        self._shining = Cache()
+        self._lamps = Cache()
         self._glossy = Cache()
         self._tables: ShapeTables[Table] = ShapeTables(self._table)
         self._operations = operations(compiled)
+        self._glosses = Glosses(lobes, self._operations)
+
+    def _light_step(self, side: int) -> LightStep:
+        return LightStep(Octahedral(side), WIDTHS if self.narrow else (), self.compiled, self.narrow)
 
     @property
     def materials(self) -> Mapping[str, SurfaceMaterial]:
@@ -190,16 +203,16 @@ class TripleProductRelighter(Relighter):
         return [self]
 
     @uncompiled
-    def incident(self, environment: Environment | Table) -> Table:
-        """The light (f, 3, n) in every frame, or what `prerotated` made, as it is.
+    def incident(self, environment: Environment | RotatedLight) -> RotatedLight:
+        """The light in every frame, or what `prerotated` made, as it is.
 
         Raises:
             ValueError: light that another relighter rotated.
         """
-        if isinstance(environment, Table):
+        if isinstance(environment, RotatedLight):
             return self._checked(environment)
-        table: Table = super().incident(environment)
-        return table
+        light: RotatedLight = super().incident(environment)
+        return light
 
     @uncompiled
     def exitant(self, environment: Any, materials: Mapping[str, Any], points: Any = None) -> Exitant:
@@ -208,18 +221,28 @@ class TripleProductRelighter(Relighter):
         return exitant
 
     @uncompiled
-    def light_step(self, environment: Environment) -> Table:
+    def light_step(self, environment: Environment) -> RotatedLight:
         """The light in every frame, by the rotation operator."""
         s = Resampling(self.starts, self.reads, rotation.SAMPLES)
-        return self._rotated(self.light(environment), s)
+        return self._lit(self.light, environment, lambda lighting: self._rotated(lighting, s))
 
-    def prerotated(self, environment: Environment, progress: bool = False) -> Table:
+    def prerotated(self, environment: Environment, progress: bool = False) -> RotatedLight:
         """The same from a finer map with more samples, as the paper's tables are made before anything is drawn.
 
         It is given to the relighter in place of the environment.
         """
+        light = self._light_step(PREROTATED[0]).to(self.dull.device)
+        return self._lit(light, environment, lambda lighting: self._finely_rotated(lighting, progress))
+
+    def _lit(self, light: LightStep, environment: Environment, in_frames: Callable[[Tensor], Table]) -> RotatedLight:
+        if not self.narrow:
+            return RotatedLight(in_frames(light(environment)), None, None)
+        split = light.with_lobes(environment)
+        through = self._operations.lamps_seen(self.seen, self.places, split.lamps.areas, split.lamps.shares)
+        return RotatedLight(in_frames(split.rest.light), split, through)
+
+    def _finely_rotated(self, lighting: Tensor, progress: bool) -> Table:
         side, samples = PREROTATED
-        lighting = LightStep(Octahedral(side), (), self.compiled).to(self.dull.device)(environment)
         parts = []
         frames = turned(self.frames.cpu().double(), self.twists)
         with tqdm(total=len(frames), desc="rotations", unit=" frames", disable=not progress) as bar:
@@ -237,99 +260,92 @@ class TripleProductRelighter(Relighter):
         return table
 
     @opaque
-    def points(self, view: View, eye: Tensor, materials: Mapping[str, SurfaceMaterial]) -> ShadedPoints:
+    def points(self, view: View, eye: Tensor, materials: Mapping[str, SurfaceMaterial]) -> RelitPoints:
         """Where the functions of vertices or pixels are found, seen from an eye."""
         own = list(materials.values())
         at = self._located(view, brushed=not all(layer.isotropic for m in own for layer in m.layers))
-        of_views = self._operations.of_views
-        viewed: Near = self._viewed((at, eye), lambda: of_views(at.frames, at.positions, eye, self.views))
+        surface = at.surface
         varying = [len(m.layers) if isinstance(m, Material) else m for m in own]
-        coated: CoatedPoints = self._coated((at, varying), lambda: self._coats(at, own))
-        return ShadedPoints(at.light, at.seen, viewed, coated.group, coated.colour, coated.shares)
+        coats: CoatedPoints = self._coated((at, varying), lambda: coated(self.scene, surface, own))
+        shaded = ShadedPoints(at.light, at.seen, self._viewed_from(at, eye), coats.group, coats.colour, coats.shares)
+        shining = []
+        if self.narrow:
+            places = surface.positions, surface.frames, self.places
+            shining = self._shining((at, coats), lambda: by_groups(shaded, *places))
+        return RelitPoints(shaded, surface.frames[:, 2], shining)
+
+    def _viewed_from(self, at: PointLookups, eye: Tensor) -> Near:
+        """Where BRDFs are found; where lobes have the highlights there are none."""
+        if self.narrow:
+            rows, weights = (x[:, :VIEWS] for x in at.light)
+            return Near(torch.zeros_like(rows), torch.zeros_like(weights))
+        frames, positions = at.surface.frames, at.surface.positions
+        of_views = self._operations.of_views
+        found: Near = self._viewed((at, eye), lambda: of_views(frames, positions, eye, self.views))
+        return found
 
     def _located(self, view: View, brushed: bool) -> PointLookups:
-        scene = self.scene
+        def of(surface: SurfacePoints) -> PointLookups:
+            return located(self.scene, self.atlas, surface, self.frames, self.twists, brushed, self._operations)
+
+        own = watched(self)
         if isinstance(view, GBuffer):
-            surface = (view.positions, view.frames, view.region.int(), view.colours, view.triangle, view.barycentric)
-            pixels: PointLookups = self._pixels((view, brushed, watched(self)), lambda: self._of(*surface, brushed))
+            pixels: PointLookups = self._pixels((view, brushed, own), lambda: of(SurfacePoints.of_pixels(view)))
             return pixels
-
-        def vertices() -> PointLookups:
-            surface = (scene.points, scene.frames, scene.vertex_region.int(), scene.colours)
-            return self._of(*surface, *scene.vertex_places, brushed)
-
-        located: PointLookups = self._vertices((brushed, watched(self)), vertices)
-        return located
-
-    def _of(
-        self,
-        positions: Tensor,
-        frames: Tensor,
-        region: Tensor,
-        colour: Tensor,
-        triangle: Tensor,
-        barycentric: Tensor,
-        brushed: bool,
-    ) -> PointLookups:
-        if len(triangle) and int(triangle.max()) >= len(self.scene.faces):
-            raise ValueError("view must be a GBuffer of this relighter's scene: GBuffer.of(scene, camera)")
-        device = self.dull.device
-        light = self._operations.of_frames(frames, self.frames.cpu(), self.twists, brushed)
-        if self.atlas is not None:
-            seen = self._operations.of_texels(self.atlas.corner_uv, triangle, barycentric, self.atlas.rows)
-        else:
-            seen = Near(self.scene.faces[triangle].int(), barycentric)
-        light, seen = (Near(*(x.to(device) for x in found)) for found in (light, seen))
-        surface = (positions, frames, region, colour, triangle, barycentric)
-        return PointLookups(light, seen, *(x.to(device) for x in surface))
-
-    def _coats(self, at: PointLookups, materials: list[SurfaceMaterial]) -> CoatedPoints:
-        """What the points are coated with."""
-        region, triangle, barycentric, colour = (x.cpu() for x in (at.region, at.triangle, at.barycentric, at.colour))
-        most = max(len(group) for material in materials for group in material.groups)
-        shares = torch.zeros(most, len(region), 3, dtype=torch.float32)
-        groups = torch.zeros_like(region)
-        colours = colour.clone()
-        first = 0
-        for number, material in enumerate(materials):
-            rows = (region == number).nonzero()[:, 0]
-            values = self.scene.map_values(material.maps, triangle[rows], barycentric[rows])
-            found = material.at(values, colour[rows])
-            groups[rows] = first + found.group.int()
-            shares[: len(found.shares), rows] = found.shares
-            colours[rows] = found.colour
-            first += len(material.groups)
-        return CoatedPoints(*(x.to(self.dull.device) for x in (groups, shares, colours)))
+        vertices: PointLookups = self._vertices((brushed, own), lambda: of(SurfacePoints.of_vertices(self.scene)))
+        return vertices
 
     @opaque
-    def brdf_step(self, incident: Table, materials: list[SurfaceMaterial], points: None) -> Exitant:
+    def brdf_step(self, incident: RotatedLight, materials: list[SurfaceMaterial], points: None) -> Exitant:
         """The BRDFs of the regions' shapes, one after the other, and their weights, for every group of layers."""
         groups = [[material.layers[k] for k in group] for material in materials for group in material.groups]
         layers = list(zip_longest(*groups, fillvalue=NO_COAT))
+        diffuse = torch.stack([torch.stack([m.diffuse for m in layer]) for layer in layers]).to(self.dull)
+        glossy, first, specular = self._no_table(), torch.zeros(diffuse.shape[:2], dtype=torch.int32), diffuse * 0
+        glosses: list[list[Gloss | None]] = []
+        if self.narrow:
+            glosses = [[self._glosses(m, self.dull) for m in group] for group in zip(*layers, strict=True)]
+        else:
+            glossy, first = self._of_shapes(layers)
+            specular = torch.stack([torch.stack([m.specular for m in layer]) for layer in layers]).to(self.dull)
+        coats = RegionCoats(diffuse, specular, first.to(self.dull.device))
+        return Exitant(Functions(incident.frames, self.visibility, self.dull, glossy), coats, glosses, incident)
+
+    def _of_shapes(self, layers: list[tuple[Material, ...]]) -> tuple[Table, Tensor]:
+        """The tables of the shapes of layers, one after the other, and the row where that of each begins."""
         device = self.dull.device
         tables = [[None if m.shape is None else self._tables(m.shape, device) for m in layer] for layer in layers]
         distinct = list({id(table): table for layer in tables for table in layer if table is not None}.values())
         glossy: Table = self._glossy(distinct, lambda: _joined(distinct or [self._no_table()]))
         starts = {id(None): 0} | {id(table): self.views**2 * k for k, table in enumerate(distinct)}
-        first = torch.tensor([[starts[id(table)] for table in layer] for layer in tables], dtype=torch.int32)
-        diffuse = torch.stack([torch.stack([m.diffuse for m in layer]) for layer in layers]).to(self.dull)
-        specular = torch.stack([torch.stack([m.specular for m in layer]) for layer in layers]).to(self.dull)
-        coats = RegionCoats(diffuse, specular, first.to(device))
-        return Exitant(Functions(incident, self.visibility, self.dull, glossy), coats)
+        return glossy, torch.tensor([[starts[id(table)] for table in layer] for layer in tables], dtype=torch.int32)
 
-    def view_step(self, exitant: Exitant, points: ShadedPoints, eye: Tensor) -> Tensor:
-        """The triple product of light, visibility and BRDF at every point."""
-        radiance: Tensor = self._operations.shade(*exitant, points)
-        return radiance
+    def view_step(self, exitant: Exitant, points: RelitPoints, eye: Tensor) -> Tensor:
+        """The triple product of light, visibility and BRDF at every point, and what comes of lamps and of lobes."""
+        functions, coats, glosses, light = exitant
+        if light.split is None:
+            radiance: Tensor = self._operations.shade(functions, coats, points.shaded)
+            return radiance
+        lamps: LampLight = self._lamps((light, points), lambda: self._lamps_at(light, points))
+        radiance = self._operations.shade(functions, coats, points.shaded, lamps.matt)
+        return shining(points.shining, glosses, lamps, self.seen, eye, radiance, self._operations)
+
+    def _lamps_at(self, light: RotatedLight, points: RelitPoints) -> LampLight:
+        assert light.split is not None
+        seen, lamps = points.shaded.seen, light.split.lamps
+        between = Between(seen.rows, seen.weights, self.places)
+        through = self._operations.lamps_between(light.through, between, lamps.directions)
+        return LampLight(light.split, through, lamps.irradiance(points.normals.T, through) / math.pi)
 
     @uncompiled
     def prepared(
-        self, environment: Environment | Table, materials: Mapping[str, SurfaceMaterial], view: View
+        self, environment: Environment | RotatedLight, materials: Mapping[str, SurfaceMaterial], view: View
     ) -> tuple[Functions, RegionCoats, ShadedPoints]:
-        """What `ops.shade.shade` multiplies; the radiance is that function of these."""
+        """What `ops.shade.shade` multiplies; the radiance, but for lamps and lobes, is that function of these."""
         chosen = self.chosen(materials)
         points = self.points(view, eye_of(view, self.positions), chosen)
-        return *self.exitant(environment, chosen, points), points
+        exitant = self.exitant(environment, chosen, points)
+        return exitant.functions, exitant.coats, points.shaded
 
     def _table(self, shape: Shape) -> Table:
         """F (o, n) of a shape."""
@@ -341,48 +357,17 @@ class TripleProductRelighter(Relighter):
         """Rows that a material without highlights points at."""
         return Table(self.dull.new_zeros(1, self.grid.cells, dtype=self.storage), self.dull.new_zeros(1))
 
-    def _checked(self, light: Table) -> Table:
+    def _checked(self, light: RotatedLight) -> RotatedLight:
         expected = (len(self.frames) * self.twists, 3, self.grid.cells)
-        if light.values.shape != expected:
-            raise ValueError(f"light must be {expected}, rotated by this relighter, got {tuple(light.values.shape)}")
+        places = len(self.places) if self.narrow else None
+        got = None if light.through is None else light.through.shape[1]
+        if light.frames.values.shape != expected or places != got:
+            raise ValueError(
+                f"light must be {expected}, rotated by this relighter, got {tuple(light.frames.values.shape)}"
+            )
         return light
 
 
 def _joined(tables: list[Table]) -> Table:
     """Tables one after the other."""
     return Table(*(in_large_pages(torch.cat(parts)) for parts in zip(*tables, strict=True)))
-
-
-def turned(frames: Tensor, twists: int) -> Tensor:
-    """Frames (f * twists, 3, 3) of frames (f, 3, 3): their tangents turned about the normal, evenly all around."""
-    angle = torch.arange(twists, dtype=torch.float64) * (2 * math.pi / twists)
-    c = angle.cos()
-    s = angle.sin()
-    o = torch.zeros_like(angle)
-    turns = torch.stack((c, s, o, -s, c, o, o, o, o + 1), -1).reshape(-1, 3, 3).to(frames)
-    return torch.einsum("tab,fbx->ftax", turns, frames).reshape(-1, 3, 3)
-
-
-def _traced(scene: Scene, atlas: Atlas | None, grid: Geodesic, rays: int, progress: bool) -> Tensor:
-    """Visibility (v, n) uint8 of every vertex, or (t, n) of every texel in use."""
-    if atlas is None:
-        points = scene.points
-        frames = scene.frames
-    else:
-        points = atlas.interpolated(scene, scene.vertices)
-        frames = scene.frames_at(atlas.triangle, atlas.barycentric)
-    parts = []
-    with tqdm(total=len(points), desc="visibility", unit=" points", disable=not progress) as bar:
-        for some, turned_to in zip(points.split(BLOCK), frames.split(BLOCK), strict=True):
-            parts.append(local.visibility(scene.surface, some, turned_to, grid, rays))
-            bar.update(len(some))
-    return torch.cat(parts)
-
-
-def _check_memory(triangles: int, frames: int, views: int, points: int) -> None:
-    need = triangles * ((6 + OPERATOR) * frames + 2 * views + points)
-    if need > MEMORY:
-        raise ValueError(
-            f"{triangles} triangles take {need / 1e9:.1f} GB, of {MEMORY / 1e9:g}: {frames} frames of light, {views} "
-            f"directions of view, {points} points; make level, normals, twists or views smaller, or the mesh or atlas"
-        )

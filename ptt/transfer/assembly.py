@@ -23,7 +23,7 @@ from ptt.models.tensor_brdf import TensorBRDF
 from ptt.models.transfer_model import Highlights
 from ptt.ops import haar, transfer
 from ptt.ops.constants import BITS
-from ptt.ops.gloss import SHARES
+from ptt.ops.hemispheres import SHARES
 from ptt.ops.sphere import Cube
 from ptt.transfer.bounces import CUTS, Bounces
 from ptt.transfer.raw import RawTransfer

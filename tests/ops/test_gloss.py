@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from ptt.materials.shapes import GGX, Analytic, BlinnPhong, CookTorrance, Ward
-from ptt.ops import cells, gloss, transfer
+from ptt.ops import cells, gloss, hemispheres, transfer
 from ptt.ops.constants import BITS, LEVELS, MEETS, RECORD, ROW, SENT, TILTS
 from ptt.ops.octahedral import HemiOctahedral, Octahedral, bordered
 from ptt.ops.sphere import Cube
@@ -48,7 +48,7 @@ def points(count: int, seen: Callable[[Tensor], Tensor] | None = None) -> tuple[
     bits = (words - (words >= 2**31).long() * 2**32).int()
     solid = HemiOctahedral(BITS).solid_angles().reshape(-1).float()
     shares = []
-    for angle, side in gloss.SHARES.items():
+    for angle, side in hemispheres.SHARES.items():
         cosine = (HemiOctahedral(side).directions().reshape(-1, 3).float() @ fine.T).clamp(-1, 1)
         weight = torch.exp(-(cosine.acos() ** 2) / (2 * (math.radians(angle) / 3) ** 2)) * solid * fine[:, 2]
         shares.append((255 * (weight @ free.float()) / weight.sum(1)).round().to(torch.uint8))

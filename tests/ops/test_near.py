@@ -13,7 +13,7 @@ from ptt.ops import native, near, rotation
 from ptt.ops.near import Near
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
 from ptt.ops.table import Table
-from ptt.relight.triple_relighter import turned
+from ptt.relight.triple_tables import turned
 
 POINTS = 3001  # no multiple of sixteen
 

@@ -13,7 +13,7 @@ import ptt
 from ptt.materials.shapes import GGX
 from ptt.ops import mesh
 from ptt.ops.cells import CellSums, Gloss, Reflects, gloss_of
-from ptt.relight import lobe_steps
+from ptt.relight import glosses
 from ptt.scene.parts import Part
 
 GOLD = (1.0, 0.78, 0.34)
@@ -137,7 +137,7 @@ def test_tables_of_a_shape_are_made_once(model: ptt.TransferModel, monkeypatch: 
         made.append(1)
         return gloss_of(reflects, isotropic, n, sums)
 
-    monkeypatch.setattr(lobe_steps, "gloss_of", counted)
+    monkeypatch.setattr(glosses, "gloss_of", counted)
     relighter = ptt.TransferRelighter(model, compiled=False)
     light = ptt.Environment.constant(1.0)
     rough = 0.5 + 0.5 * (torch.arange(len(model.positions)) % 2)

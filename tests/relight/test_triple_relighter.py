@@ -13,7 +13,7 @@ from ptt import reference
 from ptt.ops import mesh, rotation, table
 from ptt.ops.geodesic import Geodesic
 from ptt.ops.octahedral import Octahedral
-from ptt.relight.triple_relighter import turned
+from ptt.relight.triple_tables import turned
 from ptt.scene.parts import Part
 
 SKY = ptt.Environment.sun_sky(radius=25.0)

@@ -7,6 +7,7 @@ tells why.
 
 from ptt.ops.native.forming import quantised
 from ptt.ops.native.glossing import cell_sums, lamp_visibility, reflected_lamps, shine
+from ptt.ops.native.hemispheres import lamps_between, lamps_seen
 from ptt.ops.native.kernels import available, prepare
 from ptt.ops.native.maps import octahedral_means
 from ptt.ops.native.near import of_frames, of_texels, of_views
@@ -30,6 +31,8 @@ __all__ = [
     "eigen",
     "expand",
     "lamp_visibility",
+    "lamps_between",
+    "lamps_seen",
     "light_eigen",
     "lighting",
     "local_light",

@@ -27,7 +27,7 @@ from ptt.ops.keeping import folder
 
 FOLDER = Path(__file__).parent
 SOURCES = {path.stem: path for path in sorted(FOLDER.glob("*.cpp"))}
-HEADERS = (FOLDER / "signatures.h", FOLDER / "lanes.h")
+HEADERS = (FOLDER / "signatures.h", FOLDER / "lanes.h", FOLDER / "hemispheres.h")
 COMPILERS = ("c++", "g++", "clang++")
 # not -ffast-math, with which GCC sets the process to flush denormals
 FLAGS = (

@@ -8,15 +8,13 @@
 // much of the sky they see; `reflect` and `lamp` sum, of one group while memory answers for the next. Indices are
 // clamped, so that no input reads out of bounds.
 
-#include "lanes.h"
+#include "hemispheres.h"
 
 constexpr float CLEAR = 1.0f / 512;  // a lobe of which less is hidden meets nothing: half of what a byte resolves
 constexpr int AHEAD = 2;     // groups, of which what is seen is fetched
 constexpr int TOGETHER = 8;  // lobes of which other points are found
 constexpr int COLUMNS = 7;   // of a lobe: along, across, mirror, level, and w of each channel
-constexpr int WIDE_FROM = BITS * BITS / 8;  // bytes of what a point sees
-constexpr int WIDEST_FROM = WIDE_FROM + WIDE_SIDE * WIDE_SIDE;
-constexpr int SEEN = WIDEST_FROM + WIDEST_SIDE * WIDEST_SIDE;
+constexpr float HALF_TURN = 3.14159265f;
 constexpr int RING = 3 * SECTORS, WHOLE = RINGS * RING;  // numbers of f
 
 // Of a lobe of a group of points
@@ -30,25 +28,20 @@ struct Lobe {
 };
 
 // Of a group of points: the local direction to the eye, and unit (u, v) along it as seen from above; the row of tables
-// below it, and the share of the row above.
+// below it, and the share of the row above; of anisotropic f, the first rows of two azimuths, and the share of the next.
 struct Stand {
-    Lanes wo[3], u, v, frame[3][3], share;
-    Ints row;
+    Lanes wo[3], u, v, frame[3][3], share, onward;
+    Ints row, turn, next;
 };
 
 // Of the same: how much there is of the material, channel by channel, and whether any; its lobes.
 struct Look : Stand {
     bool some;
     Lanes material[3];
+    Corner corners[CORNERS];
     Lobe lobes[MOST_CELLS];
     float rows[LANES][COLUMNS * MOST_CELLS + GROUP];
 };
-
-// ptt.ops.octahedral.hemi_octahedral
-static inline void hemi_octahedral(const Lanes *d, Lanes &a, Lanes &b) {
-    const Lanes scale = 1.0f / most(size(d[0]) + size(d[1]) + size(d[2]), all(TINY));
-    a = (d[0] + d[1]) * scale, b = (d[0] - d[1]) * scale;
-}
 
 // The local axis of a row (along, across, mirror) of a table, for directions wo, and unit (u, v) along them.
 static inline void axis_of(const Lanes *row, const Lanes *wo, Lanes u, Lanes v, Lanes *local) {
@@ -80,9 +73,15 @@ static inline void find(const Shine &g, const Look &at, const Lanes (&turned)[3]
 
 // Asks for a part of what a group sees, all in order.
 static inline void fetch(const Shine &g, int64_t v, int part, int parts) {
-    constexpr int lines = SEEN * LANES / LINE;
+    const int size = Layout(g.bits).all, lines = size * LANES / LINE;
     for (int i = lines * part / parts; i < lines * (part + 1) / parts; ++i)
-        __builtin_prefetch(g.seen + v * SEEN + i * LINE, 0, 2);
+        __builtin_prefetch(g.seen + v * size + i * LINE, 0, 2);
+}
+
+// The angle of (x, y) from x on, in 0..2 pi.
+static inline Lanes turned_by(Lanes y, Lanes x) {
+    const Lanes a = angle(size(y), most(size(x), all(TINY))), half = x < 0 ? HALF_TURN - a : a;
+    return y < 0 ? 2 * HALF_TURN - half : half;
 }
 
 template <class Points>
@@ -103,50 +102,37 @@ static inline void stand(const Points &g, int64_t v, Stand &at) {
     flattened(at.wo, at.u, at.v);
     const Lanes tilt = least(most(size(at.wo[2]) * (TILTS - 0.5f) - 0.5f, all(0)), all(TILTS - 1));
     at.row = clamp(whole(tilt), TILTS - 2), at.share = tilt - real(at.row);
+    if (g.turns == 1) return;
+    const Lanes azimuth = turned_by(at.v, at.u) * (0.5f * g.turns / HALF_TURN);
+    const Ints before = clamp(whole(azimuth), g.turns - 1), after = before + 1;
+    at.turn = TILTS * before, at.next = after == g.turns ? Ints{} : TILTS * after;
+    at.onward = azimuth - real(before);
+}
+
+// What lies between a row and the one after it.
+static inline void mix_rows(const float *below, float share, int columns, float *out) {
+    for (int i = 0; i < columns; ++i) out[i] = below[i] + share * (below[columns + i] - below[i]);
 }
 
 static inline void look(const Shine &g, int64_t v, Look &at) {
     stand(g, v, at);
     Lanes to_map[3][3];
     for (int r = 0; r < 3; ++r) turned(at.frame[r], g.turn, to_map[r]);
+    for (int j = 0; j < g.each; ++j) {
+        const Ints row = (Ints)gather((const float *)g.rows + v * g.each + j, g.each * lane());
+        at.corners[j].from = row * Layout(g.bits).all, at.corners[j].weight = gather(g.weights + v * g.each + j, g.each * lane());
+        frames_at(g.places, row, at.corners[j].frame);
+    }
     const int columns = COLUMNS * g.lobes;
     for (int l = 0; l < LANES; ++l) {
-        const float *below = g.table + at.row[l] * columns, *above = below + columns, share = at.share[l];
-        for (int i = 0; i < columns; ++i) at.rows[l][i] = below[i] + share * (above[i] - below[i]);
+        mix_rows(g.table + at.row[l] * columns, at.share[l], columns, at.rows[l]);
+        if (g.turns == 1) continue;
+        float next[COLUMNS * MOST_CELLS];
+        mix_rows(g.table + (at.row[l] + at.turn[l]) * columns, at.share[l], columns, at.rows[l]);
+        mix_rows(g.table + (at.row[l] + at.next[l]) * columns, at.share[l], columns, next);
+        for (int i = 0; i < columns; ++i) at.rows[l][i] += at.onward[l] * (next[i] - at.rows[l][i]);
     }
     for (int k = 0; k < g.lobes; ++k) find(g, at, to_map, k, at.lobes[k]);
-}
-
-// ptt.ops.gloss.bits_at, of points of which what is seen begins at some bytes
-static inline Lanes bits_at(const uint8_t *seen, Ints from, Lanes a, Lanes b) {
-    const Place p = place(a, b, BITS);
-    const Ints byte = clamp(p.column >> 3, BITS / 8 - 4), shift = p.column - 8 * byte;  // 32 bits with both columns
-    const Ints first = from + p.row * (BITS / 8) + byte;
-    const Ints above = gather_bytes(seen, first) >> shift, below = gather_bytes(seen, first + BITS / 8) >> shift;
-    const Lanes bits[4] = {real(above & 1), real(above >> 1 & 1), real(below & 1), real(below >> 1 & 1)};
-    return blend(bits, p.x, p.y);
-}
-
-// The bilinear mean of a map of N x N bytes, the byte FROM of a point and those after it
-template <int FROM, int N>
-static inline Lanes bytes_at(const uint8_t *seen, Ints from, Lanes a, Lanes b) {
-    const Place p = place(a, b, N);
-    const Ints byte = clamp(p.column, N - 4), shift = 8 * (p.column - byte);
-    const Ints first = from + FROM + p.row * N + byte;
-    const Ints above = gather_bytes(seen, first) >> shift, below = gather_bytes(seen, first + N) >> shift;
-    const Lanes shares[4] = {real(above & BYTE), real(above >> 8 & BYTE), real(below & BYTE), real(below >> 8 & BYTE)};
-    return blend(shares, p.x, p.y) * (1.0f / BYTE);
-}
-
-// ptt.ops.gloss.visible
-static inline Lanes visible(const uint8_t *seen, Ints from, Lanes a, Lanes b, Lanes level) {
-    const Lanes at = (level - 1.0f) * 0.25f, wide = least(most(at, all(0)), all(1));
-    const Lanes widest = least(most(2.0f * at - 2.0f, all(0)), all(1));
-    Lanes through = all(0);
-    if (any(wide < 1)) through = bits_at(seen, from, a, b);
-    if (any((wide > 0) & (widest < 1))) through += wide * (bytes_at<WIDE_FROM, WIDE_SIDE>(seen, from, a, b) - through);
-    if (any(widest > 0)) through += widest * (bytes_at<WIDEST_FROM, WIDEST_SIDE>(seen, from, a, b) - through);
-    return through;
 }
 
 // Light E about directions in the frame of the map, of the nearest of the widths (ptt.ops.gloss.blurred)
@@ -188,12 +174,34 @@ static inline void cell_of(Lanes a, Lanes b, Ints &pair, Ints &second) {
     pair = (row * MEETS + column) / 2 * 3, second = column & 1;
 }
 
+// How much of the sky a group sees by a lobe, between places (ptt.ops.hemispheres.visible_between).
+static inline Lanes sky_between(const Shine &g, const Look &at, const Lobe &lobe) {
+    const Layout of(g.bits);
+    Lanes d[3], total = all(0), counts = all(0);
+    for (int c = 0; c < 3; ++c)
+        d[c] = lobe.local[0] * at.frame[0][c] + lobe.local[1] * at.frame[1][c] + lobe.local[2] * at.frame[2][c];
+    for (int j = 0; j < g.each; ++j) {
+        const Corner &corner = at.corners[j];
+        Lanes height, a, b;
+        const Lanes share = corner.weight * risen(corner.frame, d, g.rise, height);
+        if (!any(share > 0)) continue;
+        local_at(corner.frame, d, height, a, b);
+        total += share * visible(g.seen, of, corner.from, a, b, lobe.level), counts += share;
+    }
+    return total / most(counts, all(TINY));
+}
+
 // How much of the sky a group sees by each lobe; asks for what hides the rest.
 static inline void see(const Shine &g, int64_t v, int64_t later, Look &at) {
+    const Layout of(g.bits);
     for (int k = 0; k < g.lobes; ++k) {
-        fetch(g, later, k, g.lobes);
         Lobe &lobe = at.lobes[k];
-        lobe.seen = visible(g.seen + v * SEEN, lane() * SEEN, lobe.a, lobe.b, lobe.level);
+        if (g.each) {
+            lobe.seen = sky_between(g, at, lobe);
+            continue;
+        }
+        fetch(g, later, k, g.lobes);
+        lobe.seen = visible(g.seen + v * of.all, of, lane() * of.all, lobe.a, lobe.b, lobe.level);
         if (!g.meets || !any((1.0f - lobe.seen > CLEAR) & (lobe.level < g.alone + 1))) continue;
         cell_of(lobe.a, lobe.b, lobe.pair, lobe.second);
         lobe.pair += lane() * MET;
@@ -272,16 +280,18 @@ static inline void part_of(const Shine &g, const Met &met, const Records &of, co
         local[r] = of.frame[3 * r] * p.axis[0] + of.frame[3 * r + 1] * p.axis[1] + of.frame[3 * r + 2] * p.axis[2];
     hemi_octahedral(local, p.a, p.b);
     p.height = local[2], p.level = clamp(whole(t[3] + 0.5f), LEVELS - 1);
-    const Ints first = of.row * SEEN;
-    if (any(p.level < 5)) ask(g.all_seen, first + place(p.a, p.b, BITS).row * (BITS / 8));
+    const Layout seen(g.bits);
+    const Ints first = of.row * seen.all;
+    if (any(p.level < 5)) ask(g.all_seen, first + place(p.a, p.b, g.bits).row * (g.bits / 8));
     if (any((p.level > 1) & (p.level < 7)))
-        ask(g.all_seen, first + WIDE_FROM + place(p.a, p.b, WIDE_SIDE).row * WIDE_SIDE);
-    if (any(p.level > 5)) ask(g.all_seen, first + WIDEST_FROM);
+        ask(g.all_seen, first + seen.wide + place(p.a, p.b, WIDE_SIDE).row * WIDE_SIDE);
+    if (any(p.level > 5)) ask(g.all_seen, first + seen.widest);
 }
 
 // How much of the sky a lobe of met points sees.
 static inline Lanes sky_of(const Shine &g, const Records &of, const Part &p) {
-    const Lanes seen = visible(g.all_seen, of.row * SEEN, p.a, p.b, real(p.level));
+    const Layout layout(g.bits);
+    const Lanes seen = visible(g.all_seen, layout, of.row * layout.all, p.a, p.b, real(p.level));
     return p.height > 0 ? seen : all(0);
 }
 
@@ -516,28 +526,67 @@ static inline void reflect(const Shine &g, int64_t v, const Look &at, float (*su
     }
 }
 
-// What comes of a lamp, added to sums.
+// A lamp as a group sees it: how much of it, by cosine, and where the half vector lies about the normal: the ring below
+// and the share of the next, and its angle to the eye.
+struct HalfVector {
+    Lanes seen, share, angle;
+    Ints ring;
+};
+
 template <class Lit>
-static inline void lamp(const Lit &g, int64_t v, const Stand &at, int64_t m, float (*sums)[CHANNELS]) {
+static inline bool half_of(const Lit &g, int64_t v, const Stand &at, int64_t m, HalfVector &half) {
     const float *toward = g.lamps + 3 * m;
     Lanes wi[3];
     for (int r = 0; r < 3; ++r)
         wi[r] = at.frame[r][0] * toward[0] + at.frame[r][1] * toward[1] + at.frame[r][2] * toward[2];
-    const Lanes seen = most(wi[2], all(0)) * (g.through ? load(g.through + m * g.n + v) : all(1));
-    if (!any(seen > 0)) return;
-    alignas(64) float lit[LANES], along[LANES], around[LANES];
-    alignas(64) int32_t first[LANES];
+    half.seen = most(wi[2], all(0)) * (g.through ? load(g.through + m * g.n + v) : all(1));
+    if (!any(half.seen > 0)) return false;
     const Lanes x = wi[0] + at.wo[0], y = wi[1] + at.wo[1], z = wi[2] + size(at.wo[2]);
     const Lanes square = most((x * x + y * y) / most(z * z, all(TINY)), all(TINY));
     const Ints octaves = (Ints)square - ((127 + SHARPEST) << 23);  // of which a float's bits are 2^-23 parts
     const Lanes ring = least(most(real(octaves) * 0x1p-21f - 0.5f, all(0)), all(RINGS - 1));
-    const Lanes to = x * at.u + y * at.v, beside = y * at.u - x * at.v;
-    const Lanes turn = angle(size(beside), most(size(to), all(TINY)));
-    const Lanes half_turns = (to < 0 ? 3.14159265f - turn : turn) * (SECTORS / 3.14159265f) - 0.5f;
-    const Lanes sector = least(most(half_turns, all(0)), all(SECTORS - 1));
-    const Ints i = clamp(whole(ring), RINGS - 2), j = clamp(whole(sector), SECTORS - 2);
-    const Ints from = at.row * WHOLE + i * RING + j * 3;
-    store(lit, seen), store(along, ring - real(i)), store(around, sector - real(j));
+    half.ring = clamp(whole(ring), RINGS - 2), half.share = ring - real(half.ring);
+    half.angle = turned_by(y * at.u - x * at.v, x * at.u + y * at.v);
+    return true;
+}
+
+// What comes of a lamp by anisotropic f, of which the second half of a ring's sectors mirrors the first, added to sums.
+template <class Lit>
+static inline void lamp_around(const Lit &g, int64_t v, const Stand &at, int64_t m, float (*sums)[CHANNELS]) {
+    constexpr int sectors = 2 * SECTORS;
+    static_assert((sectors & (sectors - 1)) == 0, "sectors are counted by their bits");
+    HalfVector half;
+    if (!half_of(g, v, at, m, half)) return;
+    const Lanes sector = half.angle * (SECTORS / HALF_TURN) + (sectors - 0.5f);
+    const Ints left = whole(sector);
+    const Lanes around = sector - real(left);
+    Lanes root[3] = {};
+    for (int k = 0; k < 16; ++k) {  // a row or the next, of tilts, azimuths, rings and sectors
+        const Ints number = (left + (k & 1)) & (sectors - 1), place = number < SECTORS ? number : 3 * SECTORS - 1 - number;
+        const Ints row = at.row + (k >> 3) + (k & 4 ? at.next : at.turn), ring = half.ring + (k >> 1 & 1);
+        const Ints from = ((row * RINGS + ring) * sectors + place) * 3;
+        const Lanes weight = (k & 1 ? around : 1 - around) * (k & 2 ? half.share : 1 - half.share) *
+                             (k & 4 ? at.onward : 1 - at.onward) * (k & 8 ? at.share : 1 - at.share);
+        for (int c = 0; c < 3; ++c) root[c] += weight * gather(g.values + c, from);
+    }
+    for (int c = 0; c < 3; ++c) {
+        const Lanes sent = root[c] * root[c] * half.seen * g.powers[3 * m + c];
+        for (int l = 0; l < LANES; ++l) sums[l][c] += sent[l];
+    }
+}
+
+// What comes of a lamp, added to sums.
+template <class Lit>
+static inline void lamp(const Lit &g, int64_t v, const Stand &at, int64_t m, float (*sums)[CHANNELS]) {
+    if (g.turns > 1) return lamp_around(g, v, at, m, sums);
+    HalfVector half;
+    if (!half_of(g, v, at, m, half)) return;
+    alignas(64) float lit[LANES], along[LANES], around[LANES];
+    alignas(64) int32_t first[LANES];
+    const Lanes turn = half.angle > HALF_TURN ? 2 * HALF_TURN - half.angle : half.angle;
+    const Lanes sector = least(most(turn * (SECTORS / HALF_TURN) - 0.5f, all(0)), all(SECTORS - 1));
+    const Ints j = clamp(whole(sector), SECTORS - 2), from = at.row * WHOLE + half.ring * RING + j * 3;
+    store(lit, half.seen), store(along, half.share), store(around, sector - real(j));
     std::memcpy(first, &from, sizeof first);
     const float *p = g.powers + 3 * m;
     const Four power = {p[0], p[1], p[2]};

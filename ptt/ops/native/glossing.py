@@ -12,8 +12,8 @@ from ptt.ops import gloss as plain
 from ptt.ops.cells import Gloss, Lobes
 from ptt.ops.compiling import inlined
 from ptt.ops.constants import (
-    BITS,
     CHANNELS,
+    CORNERS,
     GROUP,
     LEVELS,
     MET,
@@ -25,16 +25,14 @@ from ptt.ops.constants import (
     SECTORS,
     SENT,
     TILTS,
-    WIDE_SIDE,
-    WIDEST_SIDE,
 )
 from ptt.ops.gloss import Around, GlossLight
+from ptt.ops.hemispheres import RISEN, Between, side_of
 from ptt.ops.native.arguments import contiguous, of_type, side, square
+from ptt.ops.native.hemispheres import of_hemispheres
 from ptt.ops.native.kernels import run
 from ptt.ops.native.operators import Conditions, operator
 from ptt.ops.view import SurfaceBlocks
-
-WORDS = (BITS * BITS // 8 + WIDE_SIDE * WIDE_SIDE + WIDEST_SIDE * WIDEST_SIDE) // 4  # of what a point sees
 
 
 @inlined
@@ -46,13 +44,14 @@ def shine(
     light: GlossLight,
     around: Around | None = None,
     share: Tensor | None = None,
+    between: Between | None = None,
 ) -> Tensor:
     """B (v, c), as `ptt.ops.gloss.shine`."""
     table, turns = gloss.lobes
+    where = (None, None, None) if between is None else tuple(between)
     other = (None,) * len(Around._fields) if around is None else tuple(around)
-    result: Tensor = _shine(
-        points.position, points.frame, points.place, eye, seen, table, turns, gloss.values, *light, share, *other
-    )
+    lit = (gloss.values, *light, share)
+    result: Tensor = _shine(points.position, points.frame, points.place, eye, seen, table, turns, *lit, *where, *other)
     return result
 
 
@@ -73,6 +72,9 @@ class _Shine(NamedTuple):
     powers: Tensor
     through: Tensor
     share: Tensor | None
+    rows: Tensor | None
+    weights: Tensor | None
+    places: Tensor | None
     mean: Tensor | None
     meets: Tensor | None
     records: Tensor | None
@@ -87,13 +89,17 @@ class _Shine(NamedTuple):
     near_through: Tensor | None
 
 
+WHERE = slice(_Shine._fields.index("rows"), _Shine._fields.index("places") + 1)  # of points between places
+
+
 def _plain(*arguments: Any) -> Tensor:
     g = _Shine(*arguments)
     light = GlossLight(g.maps, g.turn, g.lamps, g.powers, g.through)
     points = SurfaceBlocks(g.position, g.frame, None, g.position.new_empty(0), g.place)
     gloss = Gloss(Lobes(g.table, g.turns), g.values, g.table[:0], g.table[:0], sharp=False)
     around = None if g.meets is None else Around(*arguments[-len(Around._fields) :])
-    return plain.shine(points, g.eye, g.seen, gloss, light, around, g.share)
+    between = Between(*arguments[WHERE]) if g.rows is not None else None
+    return plain.shine(points, g.eye, g.seen, gloss, light, around, g.share, between)
 
 
 def _conditions(*arguments: Any) -> Conditions:
@@ -105,26 +111,44 @@ def _conditions(*arguments: Any) -> Conditions:
     yield contiguous(g.position, g.table, g.values, g.maps), "points, tables and maps must be contiguous"
     yield of_type(torch.int64, g.place) and contiguous(g.place), "place must be int64, contiguous"
     yield of_type(torch.float32, g.frame, g.lamps, g.powers, g.through), "frames and lamps must be float32"
-    yield of_type(torch.int32, g.seen), "what is seen must be int32"
-    yield contiguous(g.frame, g.seen, g.through), "frames and what is seen must be contiguous"
+    yield contiguous(g.frame, g.through), "frames and what is seen of lamps must be contiguous"
     yield g.frame.shape == (3, 3, n) and n % GROUP == 0, f"frame must be (3, 3, n), n a multiple of {GROUP}"
-    yield g.seen.shape == (n, WORDS), f"what is seen must be (n, {WORDS})"
+    yield from of_hemispheres(g.seen)
     yield g.lamps.shape == g.powers.shape == (len(g.lamps), 3), "lamps and powers must be (m, 3)"
     yield g.through.shape == (len(g.lamps), n), "what is seen of lamps must be (m, n)"
-    yield g.turns == 1, "f must be isotropic"
     yield g.position.shape == (3, n), "position must be (3, n)"
     yield g.eye.shape in ((3,), (3, n)), "eye must be (3,) or (3, n)"
-    yield g.table.shape == (TILTS, lobes, 7), f"the table of lobes must be ({TILTS}, lobes, 7)"
+    yield g.table.shape == (g.turns * TILTS, lobes, 7), f"the table of lobes must be (turns * {TILTS}, lobes, 7)"
     yield 0 < lobes <= MOST_CELLS, f"there must be 1..{MOST_CELLS} lobes"
-    yield g.values.shape == (TILTS, RINGS, SECTORS, 3), f"values must be ({TILTS}, {RINGS}, {SECTORS}, 3)"
+    yield from _of_values(g.values, g.turns)
     yield g.maps.ndim == 3 and g.maps.shape[::2] == (LEVELS, CHANNELS), f"maps must be ({LEVELS}, cells, 4)"
     yield g.maps.shape[1] > 1 and square(g.maps.shape[1]), "maps must be square"
     yield g.turn.shape == (3, 3), "turn must be (3, 3)"
     if g.share is not None:
         yield of_type(torch.float32, g.share) and contiguous(g.share), "shares must be float32, contiguous"
         yield g.share.shape == (3, n), "shares must be (3, n)"
+    if g.rows is None:
+        yield len(g.seen) == n, "what is seen must be (n, words)"
+    else:
+        yield from _of_between(g, Between(*arguments[WHERE]))
     if g.meets is not None:
         yield from _of_around(g, Around(*arguments[-len(Around._fields) :]))
+
+
+def _of_values(values: Tensor, turns: int) -> Conditions:
+    """The root of f, for so many azimuths of wo."""
+    rows, sectors = turns * TILTS, SECTORS if turns == 1 else 2 * SECTORS
+    yield values.shape == (rows, RINGS, sectors, 3), f"values must be ({rows}, {RINGS}, {sectors}, 3)"
+
+
+def _of_between(g: _Shine, between: Between) -> Conditions:
+    rows, weights, frames = between
+    yield g.meets is None, "points between places show no light of others"
+    yield of_type(torch.int32, rows) and of_type(torch.float32, weights, frames), "rows must be int32"
+    yield contiguous(*between), "where points lie must be contiguous"
+    yield rows.shape == weights.shape == (g.position.shape[1], rows.shape[-1]), "rows and weights must be (n, k)"
+    yield 1 <= rows.shape[1] <= CORNERS, f"points must lie between 1..{CORNERS} places"
+    yield frames.shape == (len(g.seen), 3, 3), "the frames of places must be (places, 3, 3)"
 
 
 def _of_around(g: _Shine, around: Around) -> Conditions:
@@ -138,8 +162,8 @@ def _of_around(g: _Shine, around: Around) -> Conditions:
     yield meets.shape == (g.position.shape[1], MET), f"meets must be (n, {MET})"
     yield points.shape == (len(points), RECORD), f"points must be (p, {RECORD})"
     yield sent.shape == (len(points), SENT), f"what is sent must be (p, {SENT})"
-    yield seen.shape == (len(seen), WORDS), f"what all see must be (s, {WORDS})"
-    yield 4 * WORDS * len(seen) < 2**31, "what all see must have fewer than 2^31 bytes"
+    yield seen.shape[1] == g.seen.shape[1], "what all see must be laid out as what is seen"
+    yield 4 * seen.numel() < 2**31, "what all see must have fewer than 2^31 bytes"
     if others is not None:
         yield others.shape == (len(seen), MET), f"what others meet must be (s, {MET})"
         yield MET * len(seen) < 2**31, "what others meet must have fewer than 2^31 words"
@@ -169,6 +193,9 @@ def _kernel(*arguments: Any) -> Tensor:
         through=g.through,
         seen=g.seen,
         share=g.share,
+        rows=g.rows,
+        weights=g.weights,
+        places=g.places,
         mean=g.mean,
         meets=g.meets,
         records=g.records,
@@ -192,7 +219,11 @@ def _kernel(*arguments: Any) -> Tensor:
         blur=plain.BLUR,
         alone=plain.alone(g.table.shape[1]),
         close=plain.close(g.table.shape[1]),
+        rise=1 / RISEN,
+        bits=side_of(g.seen),
+        each=0 if g.rows is None else g.rows.shape[1],
         distant=g.eye.ndim == 2,
+        turns=g.turns,
         lobes=g.table.shape[1],
         map=side(g.maps.shape[1]),
     )
@@ -202,6 +233,7 @@ def _kernel(*arguments: Any) -> Tensor:
 _shine = operator(
     "shine(Tensor position, Tensor frame, Tensor place, Tensor eye, Tensor seen, Tensor table, int turns, "
     "Tensor values, Tensor maps, Tensor turn, Tensor lamps, Tensor powers, Tensor through, Tensor? share, "
+    "Tensor? rows, Tensor? weights, Tensor? places, "
     "Tensor? mean, Tensor? meets, Tensor? records, Tensor? sent, Tensor? all_seen, Tensor? others, Tensor? tables, "
     "Tensor? parts, Tensor? rest, Tensor? near, Tensor? near_powers, Tensor? near_through) -> Tensor",
     plain=_plain,
@@ -248,7 +280,7 @@ def _reflected_conditions(*arguments: Any) -> Conditions:
     yield g.position.shape == (3, n) and n % GROUP == 0, f"position must be (3, n), n a multiple of {GROUP}"
     yield g.frame.shape == (3, 3, n), "frame must be (3, 3, n)"
     yield g.eye.shape in ((3,), (3, n)), "eye must be (3,) or (3, n)"
-    yield g.values.shape == (TILTS, RINGS, SECTORS, 3), f"values must be ({TILTS}, {RINGS}, {SECTORS}, 3)"
+    yield from _of_values(g.values, len(g.values) // TILTS)
     yield g.lamps.shape == g.powers.shape == (len(g.lamps), 3), "lamps and powers must be (m, 3)"
     if g.through is not None:
         yield of_type(torch.float32, g.through) and contiguous(g.through), "what is seen must be float32, contiguous"
@@ -271,6 +303,7 @@ def _reflected_kernel(*arguments: Any) -> Tensor:
         n=len(out),
         sources=len(g.lamps),
         distant=g.eye.ndim == 2,
+        turns=len(g.values) // TILTS,
     )
     return out
 

@@ -200,8 +200,9 @@ static void shade(const Shade &g, int64_t p, int count, Ints at, Ints region) {
             const Lanes weight = share[i] * gather(g.specular + 3 * i * g.regions + c, 3 * region);
             shining += weight * views[i].gain * gather(&sums[0][i + 1][c], 4 * (I + 1) * lane());
         }
-        matt *= gather(g.colour + 3 * p + c, 3 * at) * gather(&sums[0][0][c], 4 * (I + 1) * lane());
-        out = unit * (matt + shining);
+        const Lanes lamps = g.lamps ? gather(g.lamps + 3 * p + c, 3 * at) : all(0);
+        matt *= gather(g.colour + 3 * p + c, 3 * at) * (unit * gather(&sums[0][0][c], 4 * (I + 1) * lane()) + lamps);
+        out = matt + unit * shining;
         for (int l = 0; l < count; ++l) g.out[3 * (p + l) + c] = out[l];
     }
 }

@@ -6,6 +6,7 @@ In the kernel, tables in 16 or 8 bits are multiplied in float16, where the proce
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -28,7 +29,8 @@ COATS = 2
 SCHEMA = (
     "shade(Tensor light, Tensor light_scale, Tensor visibility, Tensor dull, Tensor glossy, Tensor glossy_scale, "
     "Tensor diffuse, Tensor specular, Tensor first, Tensor light_rows, Tensor light_weights, Tensor seen_rows, "
-    "Tensor seen_weights, Tensor view_rows, Tensor view_weights, Tensor region, Tensor colour, Tensor shares) -> Tensor"
+    "Tensor seen_weights, Tensor view_rows, Tensor view_weights, Tensor region, Tensor colour, Tensor shares, "
+    "Tensor? lamps) -> Tensor"
 )
 
 
@@ -36,17 +38,17 @@ NAMES = tuple(re.findall(r"Tensor (\w+)", SCHEMA))
 
 
 @inlined
-def shade(functions: Functions, coats: RegionCoats, at: ShadedPoints) -> Tensor:
+def shade(functions: Functions, coats: RegionCoats, at: ShadedPoints, lamps: Tensor | None = None) -> Tensor:
     """B (p, c), as `ptt.ops.shade.shade`."""
     light, visibility, dull, glossy = functions
     tables = (*light, visibility, dull, *glossy)
     points = (*at.light, *at.seen, *at.view, at.region, at.colour)
     first, *others = range(0, len(coats.first), COATS)
     result: Tensor = _shade(
-        *tables, *(x[first : first + COATS] for x in coats), *points, at.shares[first : first + COATS]
+        *tables, *(x[first : first + COATS] for x in coats), *points, at.shares[first : first + COATS], lamps
     )
     for k in others:
-        result = result + _shade(*tables, *(x[k : k + COATS] for x in coats), *points, at.shares[k : k + COATS])
+        result = result + _shade(*tables, *(x[k : k + COATS] for x in coats), *points, at.shares[k : k + COATS], lamps)
     return result
 
 
@@ -69,15 +71,16 @@ def _packed(
     region: Tensor,
     colour: Tensor,
     shares: Tensor,
-) -> tuple[Functions, RegionCoats, ShadedPoints]:
+    lamps: Tensor | None,
+) -> tuple[Functions, RegionCoats, ShadedPoints, Tensor | None]:
     """The arguments of the schema as the plain function takes them."""
     functions = Functions(Table(light, light_scale), visibility, dull, Table(glossy, glossy_scale))
     near = (Near(light_rows, light_weights), Near(seen_rows, seen_weights), Near(view_rows, view_weights))
-    return functions, RegionCoats(diffuse, specular, first), ShadedPoints(*near, region, colour, shares)
+    return functions, RegionCoats(diffuse, specular, first), ShadedPoints(*near, region, colour, shares), lamps
 
 
-def _conditions(*arguments: Tensor) -> Conditions:
-    functions, coats, at = _packed(*arguments)
+def _conditions(*arguments: Any) -> Conditions:
+    functions, coats, at, lamps = _packed(*arguments)
     light, visibility, dull, glossy = functions
     n = len(dull)
     p = len(at.region)
@@ -102,10 +105,13 @@ def _conditions(*arguments: Tensor) -> Conditions:
         yield near.rows.shape == near.weights.shape == (p, near.rows.shape[1]), "rows and weights must be (p, k)"
     yield at.shares.shape == (i, p, 3) and at.colour.shape == (p, 3), "shares must be (i, p, 3) and colour (p, 3)"
     yield coats.diffuse.shape == coats.specular.shape == (i, r, 3), "coats must be (i, r, 3)"
+    if lamps is not None:
+        yield of_type(torch.float32, lamps) and lamps.shape == (p, 3), "what comes of lamps must be float32, (p, 3)"
 
 
-def _kernel(*arguments: Tensor) -> Tensor:
-    tensors = {name: tensor.contiguous() for name, tensor in zip(NAMES, arguments, strict=True)}
+def _kernel(*arguments: Any) -> Tensor:
+    *given, lamps = arguments
+    tensors = {name: tensor.contiguous() for name, tensor in zip(NAMES, given, strict=True)}
     dtype = tensors["light"].dtype
     n = len(tensors["dull"])
     if dtype != torch.float32:
@@ -114,6 +120,7 @@ def _kernel(*arguments: Tensor) -> Tensor:
     run(
         "shade",
         **tensors,
+        lamps=None if lamps is None else lamps.contiguous(),
         out=out,
         points=len(out),
         n=n,

@@ -85,6 +85,8 @@ struct Shine {
     const float *share;                                   // null for all of the material everywhere
     const float *mean, *records, *sent, *tables, *parts, *rest;  // of what lies around
     const float *near, *near_powers, *near_through;       // of the same: lamps, and how much is seen (rows, near_sources)
+    const float *weights, *places;                        // (n, each), and frames (places, 3, 3); null where each is 0
+    const int32_t *rows;                                  // (n, each): of the places between which points lie
     const int32_t *meets, *others;                 // null where nothing does, and where light bounces once
     const uint8_t *seen, *all_seen;                // of each point bits, then bytes
     const int64_t *place;
@@ -92,7 +94,8 @@ struct Shine {
     int64_t n, points, sources, near_sources;  // sources: lamps
     float sharpness, blur;                     // of a lobe of level 1; of lobes in which others show lamps
     float alone, close;                        // of lobes that see one point alone; what these reflect of it as parts
-    int32_t distant, lobes, map;  // map: the side of the grid, with the border
+    float rise;                                // over the sine of the height, how much a place counts
+    int32_t distant, turns, lobes, map, each, bits;  // turns: 1 for isotropic f; map, bits: sides of maps
     int32_t threads;
 };
 
@@ -101,7 +104,7 @@ struct ReflectedLamps {
     const float *through;  // (sources, n), null where all of every lamp is seen
     float *out;            // (n, 3)
     int64_t n, sources;
-    int32_t distant, threads;
+    int32_t distant, turns, threads;
 };
 
 struct LampVisibility {
@@ -112,6 +115,27 @@ struct LampVisibility {
     int64_t n, sources, each;
     int32_t threads;
 };
+
+// ptt/ops/hemispheres.py
+
+struct LampsSeen {
+    const float *frames, *areas, *shares;  // (places, 3, 3), (sources, each, 3), (sources, each)
+    const uint8_t *seen;                   // of each place bits, then bytes
+    float *out;                            // (sources, places)
+    int64_t places, sources, each;
+    int32_t bits, threads;  // bits: the side of the map of bits
+};
+
+struct LampsBetween {
+    const float *weights, *frames, *through, *lamps;  // (points, each), (places, 3, 3), (sources, places), (sources, 3)
+    const int32_t *rows;                              // (points, each)
+    float *out;                                       // (sources, points)
+    int64_t points, places, sources, each;
+    float rise;
+    int32_t threads;
+};
+
+// ptt/ops/cells.py
 
 struct CellSums {
     const float *mirrored, *whole;             // (tilts, 3, nodes); whole: whole numbers, steps to 1
@@ -199,6 +223,7 @@ struct Shade {
     const float *light_scale, *glossy_scale;
     const int32_t *light_rows, *seen_rows, *view_rows, *region, *first;
     const float *light_weights, *seen_weights, *view_weights, *colour, *shares, *diffuse, *specular;
+    const float *lamps;  // (points, 3), null where the light has them
     float *out;
     int64_t points, n, regions;
     int32_t lights, vertices, coats, type, threads;  // lights, vertices: rows that are mixed

@@ -13,9 +13,9 @@ from ptt.materials.shapes import GGX, Analytic, Ward
 from ptt.ops import cells, native
 from ptt.ops import gloss as plain
 from ptt.ops.cells import Gloss, Lobes
-from ptt.ops.constants import LEVELS, MEETS, PARTS, RECORD, RINGS, ROW, SECTORS, SENT, TILTS
+from ptt.ops.constants import BITS, LEVELS, MEETS, PARTS, RECORD, RINGS, ROW, SECTORS, SENT, TILTS
 from ptt.ops.gloss import Around, GlossLight
-from ptt.ops.native.glossing import WORDS
+from ptt.ops.hemispheres import words_of
 from ptt.ops.transfer import meets_packed
 from ptt.ops.view import SurfaceBlocks
 
@@ -59,7 +59,11 @@ def inputs(
     light = GlossLight(maps, rotations(1, g)[0].contiguous(), *of_lamps)
     eye = directions(n, g).T.contiguous() if distant else torch.ones(3)
     return Inputs(
-        points, eye, words(n, WORDS, g), Gloss(Lobes(table, turns), values, table[:0], table[:0], sharp=False), light
+        points,
+        eye,
+        words(n, words_of(BITS), g),
+        Gloss(Lobes(table, turns), values, table[:0], table[:0], sharp=False),
+        light,
     )
 
 
@@ -106,7 +110,7 @@ def surroundings(n: int, p: int, g: torch.Generator) -> Around:
         meets,
         records,
         torch.rand(p, SENT, generator=g),
-        words(7, WORDS, g),
+        words(7, words_of(BITS), g),
         one_met,
         tables,
         parts,

@@ -17,12 +17,12 @@ from ptt.light.prefiltered import samples
 from ptt.materials.shapes import BlinnPhong
 from ptt.ops import haar, native, near, rotation, slices
 from ptt.ops.cells import Gloss, Lobes
-from ptt.ops.constants import LEVELS, MET, PARTS, RECORD, RINGS, ROW, SECTORS, SENT, TILTS
+from ptt.ops.constants import BITS, LEVELS, MET, PARTS, RECORD, RINGS, ROW, SECTORS, SENT, TILTS
 from ptt.ops.geodesic import Geodesic
 from ptt.ops.gloss import Around, GlossLight
 from ptt.ops.haar import Truncated
+from ptt.ops.hemispheres import words_of
 from ptt.ops.native import building, kernels, operators
-from ptt.ops.native.glossing import WORDS
 from ptt.ops.near import Near
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
 from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
@@ -104,7 +104,7 @@ def view() -> None:
 
 def shine() -> None:
     n = 32
-    seen = torch.randint(0, 2**31, (n, WORDS), generator=generator()).int()
+    seen = torch.randint(0, 2**31, (n, words_of(BITS)), generator=generator()).int()
     frame = torch.eye(3)[:, :, None].repeat(1, 1, n)
     surface = SurfaceBlocks(uniform(3, n), frame, None, torch.empty(0), torch.arange(n - 3))
     gloss = Gloss(

@@ -1,0 +1,111 @@
+"""Where the functions of triple products are found for vertices and pixels, and what these are coated with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from ptt.imaging.atlas import Atlas
+from ptt.imaging.gbuffer import GBuffer
+from ptt.materials.varying import SurfaceMaterial
+from ptt.ops.near import Near
+from ptt.ops.shade import ShadedPoints
+from ptt.relight.shining_points import ShiningPoints
+from ptt.scene.scene import Scene
+
+
+class SurfacePoints(NamedTuple):
+    """Points of a mesh: positions (p, 3), frames (p, 3, 3), region (p,) int32, colour (p, 3); where on it: triangle
+    (p,), barycentric (p, 3)."""
+
+    positions: Tensor
+    frames: Tensor
+    region: Tensor
+    colour: Tensor
+    triangle: Tensor
+    barycentric: Tensor
+
+    @classmethod
+    def of_vertices(cls, scene: Scene) -> SurfacePoints:
+        """The vertices of a scene."""
+        return cls(scene.points, scene.frames, scene.vertex_region.int(), scene.colours, *scene.vertex_places)
+
+    @classmethod
+    def of_pixels(cls, view: GBuffer) -> SurfacePoints:
+        """The pixels of a G-buffer."""
+        return cls(view.positions, view.frames, view.region.int(), view.colours, view.triangle, view.barycentric)
+
+
+class PointLookups(NamedTuple):
+    """Points that are shaded: where their light and visibility are found, rows of the tables, and their surface."""
+
+    light: Near
+    seen: Near
+    surface: SurfacePoints
+
+
+class CoatedPoints(NamedTuple):
+    """What points are coated with: the group of layers (p,) int32, those of all regions one after the other; how much
+    of each of its layers (i, p, 3); the base colour (p, 3)."""
+
+    group: Tensor
+    shares: Tensor
+    colour: Tensor
+
+
+class RelitPoints(NamedTuple):
+    """Points as they are shaded, their normals (p, 3), and how they shine by lobes."""
+
+    shaded: ShadedPoints
+    normals: Tensor
+    shining: list[ShiningPoints]
+
+
+def located(
+    scene: Scene,
+    atlas: Atlas | None,
+    surface: SurfacePoints,
+    frames: Tensor,
+    twists: int,
+    brushed: bool,
+    operations: Any,
+) -> PointLookups:
+    """Where the light of points is found, among frames (f, 3, 3) with so many turns, and their visibility: between the
+    vertices, or the texels of an atlas.
+
+    brushed: says whether light is interpolated between turns
+
+    Raises:
+        ValueError: pixels of another scene.
+    """
+    if len(surface.triangle) and int(surface.triangle.max()) >= len(scene.faces):
+        raise ValueError("view must be a GBuffer of this relighter's scene: GBuffer.of(scene, camera)")
+    light = operations.of_frames(surface.frames, frames.cpu(), twists, brushed)
+    if atlas is not None:
+        seen = operations.of_texels(atlas.corner_uv, surface.triangle, surface.barycentric, atlas.rows)
+    else:
+        seen = Near(scene.faces[surface.triangle].int(), surface.barycentric)
+    light, seen = (Near(*(x.to(frames.device) for x in found)) for found in (light, seen))
+    return PointLookups(light, seen, SurfacePoints(*(x.to(frames.device) for x in surface)))
+
+
+def coated(scene: Scene, surface: SurfacePoints, materials: Sequence[SurfaceMaterial]) -> CoatedPoints:
+    """What points are coated with, by the materials of all regions."""
+    *_, region, colour, triangle, barycentric = (x.cpu() for x in surface)
+    most = max(len(group) for material in materials for group in material.groups)
+    shares = torch.zeros(most, len(region), 3, dtype=torch.float32)
+    groups = torch.zeros_like(region)
+    colours = colour.clone()
+    first = 0
+    for number, material in enumerate(materials):
+        rows = (region == number).nonzero()[:, 0]
+        values = scene.map_values(material.maps, triangle[rows], barycentric[rows])
+        found = material.at(values, colour[rows])
+        groups[rows] = first + found.group.int()
+        shares[: len(found.shares), rows] = found.shares
+        colours[rows] = found.colour
+        first += len(material.groups)
+    return CoatedPoints(*(x.to(surface.positions.device) for x in (groups, shares, colours)))
