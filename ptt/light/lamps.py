@@ -59,7 +59,8 @@ def apart(light: Tensor, directions: Tensor, solid_angles: Tensor) -> tuple[Lamp
     if is_batch(light):
         raise ValueError(
             "maps cannot be a batch of torch.func.vmap where lamps are kept apart: loop over them, compress with "
-            'highlights="tensor", or make an EnvMapRelighter with lamps=False'
+            'highlights="tensor", or make an EnvMapRelighter with lamps=False, a TripleProductRelighter with '
+            'highlights="triangles"'
         )
     rest = light
     power = (light.detach() * solid_angles).sum(1)

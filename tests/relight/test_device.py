@@ -17,7 +17,7 @@ EYE = torch.tensor([1.0, 2.0, 3.0])
 MATERIALS = {"ball": ptt.blinn_phong((0.1, 0.5, 0.3), 0.6, 20.0)}
 
 
-@pytest.fixture(params=["points", "clusters", "lobes", "environment map", "float", "16-bit", "8-bit"])
+@pytest.fixture(params=["points", "clusters", "lobes", "environment map", "float", "16-bit", "8-bit", "triples, lobes"])
 def make(request: pytest.FixtureRequest, small_scene: ptt.Scene) -> Callable[[], Relighter]:
     """Each relighter, in each storage."""
     kind = request.param
@@ -33,7 +33,17 @@ def make(request: pytest.FixtureRequest, small_scene: ptt.Scene) -> Callable[[],
     if kind == "environment map":
         rotation = ptt.LightRotation.build(16, 4)
         return lambda: ptt.EnvMapRelighter(small_scene, rotation, terms=16, views=16)
-    return lambda: ptt.TripleProductRelighter(small_scene, 1, normals=6, twists=6, source=16, views=16, storage=kind)
+    lobes = kind == "triples, lobes"
+    return lambda: ptt.TripleProductRelighter(
+        small_scene,
+        1,
+        normals=6,
+        twists=6,
+        source=16,
+        views=16,
+        highlights="lobes" if lobes else "triangles",
+        storage="float" if lobes else kind,
+    )
 
 
 def of(relighter: Relighter, light: ptt.Environment) -> Tensor:

@@ -36,7 +36,7 @@ def make(request: pytest.FixtureRequest, small_scene: ptt.Scene) -> Callable[[bo
             return ptt.EnvMapRelighter(small_scene, rotation, terms=16, views=16, compiled=compiled)
         if kind == "triples":
             return ptt.TripleProductRelighter(
-                small_scene, 1, normals=6, twists=6, source=16, views=16, compiled=compiled
+                small_scene, 1, normals=6, twists=6, source=16, views=16, highlights="triangles", compiled=compiled
             )
         brdf = ptt.TensorBRDF.fit(SPACES[space], ranks=(3, 8, 8), separated=3, resolution=16)
         if kind == "points":

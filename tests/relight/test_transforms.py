@@ -36,7 +36,9 @@ def make(request: pytest.FixtureRequest, small_scene: ptt.Scene) -> Callable[[],
         rotation = ptt.LightRotation.build(16, 4, operator=kind)
         return lambda: ptt.EnvMapRelighter(small_scene, rotation, terms=16, views=16, lamps=False)
     storage: Storage = "8-bit" if kind == "in bytes" else "float"
-    return lambda: ptt.TripleProductRelighter(small_scene, 1, normals=6, twists=6, source=16, views=16, storage=storage)
+    return lambda: ptt.TripleProductRelighter(
+        small_scene, 1, normals=6, twists=6, source=16, views=16, storage=storage, highlights="triangles"
+    )
 
 
 def relit(

@@ -15,7 +15,7 @@ from ptt.ops import gloss as plain
 from ptt.ops.cells import Gloss, Lobes
 from ptt.ops.constants import BITS, LEVELS, MEETS, PARTS, RECORD, RINGS, ROW, SECTORS, SENT, TILTS
 from ptt.ops.gloss import Around, GlossLight
-from ptt.ops.hemispheres import words_of
+from ptt.ops.hemispheres import Between, words_of
 from ptt.ops.transfer import meets_packed
 from ptt.ops.view import SurfaceBlocks
 
@@ -28,6 +28,7 @@ class Inputs(NamedTuple):
     light: GlossLight
     around: Around | None = None
     share: Tensor | None = None
+    between: Between | None = None
 
 
 def inputs(
@@ -88,7 +89,9 @@ def in_double(x: Inputs) -> Inputs:
     around = x.around and x.around._replace(
         **{name: t.double() for name, t in x.around._asdict().items() if t.is_floating_point()}
     )
-    return Inputs(points, x.eye.double(), x.seen, gloss, GlossLight(*(t.double() for t in x.light)), around, x.share)
+    between = x.between and Between(x.between.rows, x.between.weights.double(), x.between.frames.double())
+    light = GlossLight(*(t.double() for t in x.light))
+    return Inputs(points, x.eye.double(), x.seen, gloss, light, around, x.share, between)
 
 
 def surroundings(n: int, p: int, g: torch.Generator) -> Around:
@@ -159,6 +162,25 @@ def test_agrees_for_all_lobes(built: None, calls: list[int], lobes: int, lamps: 
     agree(inputs(lobes, lamps, distant=distant), calls)
 
 
+@pytest.mark.parametrize("distant", [False, True])
+@pytest.mark.parametrize("lamps", [0, 3])
+@pytest.mark.parametrize("turns", [2, cells.TURNS])
+def test_agrees_for_anisotropic_materials(built: None, calls: list[int], turns: int, lamps: int, distant: bool) -> None:
+    agree(inputs(5, lamps, turns=turns, distant=distant), calls)
+
+
+@pytest.mark.parametrize("bits", [32, 128])
+@pytest.mark.parametrize("corners", [1, 3, 4])
+def test_agrees_between_places(built: None, calls: list[int], corners: int, bits: int) -> None:
+    """Of places that see all or nothing, so that rounding of axes chooses no cell."""
+    g = torch.Generator().manual_seed(corners)
+    n, places = 96, 23
+    whole = torch.where(torch.rand(places, 1, generator=g) < 0.5, 0, -1).int().expand(-1, words_of(bits))
+    rows = torch.randint(places, (n, corners), generator=g).int()
+    between = Between(rows, torch.rand(n, corners, generator=g), rotations(places, g).contiguous())
+    agree(inputs()._replace(seen=whole.contiguous(), between=between), calls)
+
+
 @pytest.mark.parametrize(("n", "side"), [(16, 4), (112, 130)])
 def test_agrees_for_all_sizes(built: None, calls: list[int], n: int, side: int) -> None:
     agree(inputs(n=n, side=side), calls)
@@ -226,7 +248,14 @@ def strided(x: Inputs) -> Inputs:
     return x._replace(points=x.points._replace(frame=x.points.frame.transpose(0, 1)))
 
 
-@pytest.mark.parametrize("change", [with_gradient, in_double, strided, lambda x: inputs(turns=2)])
+def between_and_around(x: Inputs) -> Inputs:
+    g = torch.Generator().manual_seed(1)
+    n = x.points.position.shape[1]
+    between = Between(torch.arange(n)[:, None].int(), torch.ones(n, 1), rotations(n, g).contiguous())
+    return x._replace(around=surroundings(n, 50, g), between=between)
+
+
+@pytest.mark.parametrize("change", [with_gradient, in_double, strided, between_and_around])
 def test_what_the_kernel_is_not_for_goes_the_plain_way(calls: list[int], change: Callable[[Inputs], Inputs]) -> None:
     x = change(inputs())
     got = native.shine(*x)
@@ -252,6 +281,17 @@ def test_reflected_lamps_agree(built: None, lamps: int, hidden: bool, distant: b
     assert not found
     expected = plain.reflected_lamps(*(t.double() for t in given))
     assert got.shape == expected.shape
+    torch.testing.assert_close(got.double(), expected, rtol=1e-3, atol=1e-3)  # values of noise
+
+
+@pytest.mark.parametrize("turns", [2, cells.TURNS])
+def test_lamps_reflected_by_anisotropic_materials_agree(built: None, turns: int) -> None:
+    x = inputs(1, 4, turns=turns)
+    given = [x.points.position, x.points.frame, x.eye, x.gloss.values, x.light.lamps, x.light.powers]
+    with native.refusals() as found:
+        got = native.reflected_lamps(*given)
+    assert not found
+    expected = plain.reflected_lamps(*(t.double() for t in given))
     torch.testing.assert_close(got.double(), expected, rtol=1e-3, atol=1e-3)  # values of noise
 
 

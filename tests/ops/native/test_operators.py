@@ -21,7 +21,7 @@ from ptt.ops.constants import BITS, LEVELS, MET, PARTS, RECORD, RINGS, ROW, SECT
 from ptt.ops.geodesic import Geodesic
 from ptt.ops.gloss import Around, GlossLight
 from ptt.ops.haar import Truncated
-from ptt.ops.hemispheres import words_of
+from ptt.ops.hemispheres import Between, words_of
 from ptt.ops.native import building, kernels, operators
 from ptt.ops.near import Near
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
@@ -137,6 +137,12 @@ def shine() -> None:
     native.reflected_lamps(surface.position, *lit, uniform(2, n))
     native.lamp_visibility(seen, torch.arange(8).reshape(2, 4), uniform(2, 4))
     native.cell_sums(uniform(3, 3, 40), uniform(6, 40, 3), 4)
+    rows = torch.arange(3 * n, dtype=torch.int32).reshape(n, 3) % 5
+    between = Between(rows, uniform(n, 3), torch.eye(3).repeat(5, 1, 1))
+    light = GlossLight(maps, torch.eye(3), uniform(2, 3), uniform(2, 3), uniform(2, n))
+    native.shine(surface, torch.tensor([0.2, 0.4, 5.0]), seen[:5], gloss, light, None, None, between)
+    native.lamps_between(uniform(2, 5), between, uniform(2, 3))
+    native.lamps_seen(seen[:5].contiguous(), between.frames, 0.1 + uniform(2, 4, 3), uniform(2, 4))
 
 
 def resampling() -> rotation.Resampling:
@@ -186,6 +192,7 @@ def shade() -> None:
             lookup, lookup, lookup, torch.zeros(points, dtype=torch.int32), uniform(points, 3), uniform(1, points, 3)
         )
         native.shade(functions, coats, at)
+        native.shade(functions, coats, at, uniform(points, 3))
 
 
 def lookups() -> None:

@@ -14,6 +14,7 @@ from ptt.ops.native import building
 TESTS = Path(__file__).parent.parent
 AGAINST_PLAIN = (
     "native/test_glossing.py",
+    "native/test_hemispheres.py",
     "native/test_relight.py",
     "native/test_rotation.py",
     "test_near.py",
