@@ -26,6 +26,7 @@ from bench.machine import SETS, printed
 from bench.metals_measured import measured
 from bench.metals_seen import Seen
 from bench.metals_speed import COUNTS, GOLD
+from bench.metals_triple import direct
 from bench.metals_unshadowed import unshadowed
 from bench.table import ROOT, Table
 from ptt.materials.shapes import GGX
@@ -45,7 +46,7 @@ PLASTICS = {
     "plastic, roughness 0.4": ptt.ggx((0.3, 0.08, 0.05), 1.0, 0.04, 0.4),
 }
 TRADED = ("gold, roughness 0.3", "gold, roughness 0.5", "plastic, roughness 0.2")
-PARTS = ("furnace", "measured", "unshadowed", "suzanne", "dragon", "engine")
+PARTS = ("furnace", "measured", "unshadowed", "triple", "suzanne", "dragon", "engine")
 MAPS = ("uffizi.hdr", "grace.hdr", "interior.exr")
 FORMS = {"tensor": ("tensor", None), "lobes": ("lobes", None), "lobes, 48": ("lobes", 48)}
 
@@ -57,7 +58,7 @@ def main() -> None:
     options = parser.parse_args()
     if "PTT_DATA" not in os.environ:
         parser.error("set PTT_DATA to the folder with meshes and hdri")
-    for name in options.only[: 4 if options.quick else None]:
+    for name in options.only[: 5 if options.quick else None]:
         table = Table("metals")
         if name == "furnace":
             _furnace(table)
@@ -65,6 +66,8 @@ def main() -> None:
             measured(table, 2 if options.quick else None)
         elif name == "unshadowed":
             unshadowed(table, METALS | PLASTICS, MAPS, *((100, 64) if options.quick else (500, 1024)))
+        elif name == "triple":
+            direct(table, METALS | PLASTICS, MAPS, *((100, 64) if options.quick else (500, 1024)))
         else:
             _rows(table, name, *((100, 64) if options.quick else (500, 512)))
         if not options.quick:

@@ -51,7 +51,7 @@ def test_frame(benchmark: Any, scene: ptt.Scene, level: int, storage: Storage) -
     """Products and interpolation of 320 x 240 pixels."""
     assert scene.camera is not None
     pixels = ptt.GBuffer.of(scene, replace(scene.camera, width=320, height=240))
-    relighter = ptt.TripleProductRelighter(scene, level, storage=storage)
+    relighter = ptt.TripleProductRelighter(scene, level, storage=storage, highlights="triangles")
     prepared = relighter.prepared(SKY, GIVEN, pixels)
     got = benchmark(lambda: native.shade(*prepared))
     benchmark.extra_info.update(setting=setting(), pixels=len(pixels.pixel))
@@ -60,13 +60,13 @@ def test_frame(benchmark: Any, scene: ptt.Scene, level: int, storage: Storage) -
 
 @pytest.mark.parametrize("level", [1, 2])
 def test_change_of_light(benchmark: Any, scene: ptt.Scene, level: int) -> None:
-    relighter = ptt.TripleProductRelighter(scene, level)
+    relighter = ptt.TripleProductRelighter(scene, level, highlights="triangles")
     angle = 0.0
 
     def turned() -> torch.Tensor:
         nonlocal angle
         angle += 1.0
-        return relighter.incident(SKY.rotated(y=angle)).to_dense()[0]
+        return relighter.incident(SKY.rotated(y=angle)).frames.to_dense()[0]
 
     assert bool(benchmark(turned).isfinite().all())
 
@@ -74,7 +74,7 @@ def test_change_of_light(benchmark: Any, scene: ptt.Scene, level: int) -> None:
 @pytest.mark.parametrize("shape", [ptt.BlinnPhong(30.0), ptt.Ward(0.1, 0.5)], ids=["isotropic", "brushed"])
 def test_edited_brdf(benchmark: Any, scene: ptt.Scene, shape: Any) -> None:
     """A white furnace's share of it, toward the zenith, is the albedo."""
-    relighter = ptt.TripleProductRelighter(scene, 2)
+    relighter = ptt.TripleProductRelighter(scene, 2, highlights="triangles")
     table = benchmark.pedantic(lambda: relighter._table(shape), rounds=3)
     up = int(table.to_dense().sum(1).argmin())
     assert 0 < float(table.to_dense()[up].sum()) * 20 / Geodesic(2).cells < 1.1

@@ -110,7 +110,7 @@ def frames(
         for level in (1, 2):
             start = time.perf_counter()
             atlas = ptt.Atlas.of(scene, 64 if quick else 1024 >> (level - 1)) if kind == "texture" else None
-            relighter = ptt.TripleProductRelighter(scene, level, atlas=atlas)
+            relighter = ptt.TripleProductRelighter(scene, level, atlas=atlas, highlights="triangles")
             n = relighter.grid.cells
             what = f"table 3, {name}, {kind}, {n}"
             how = f"{len(relighter.visibility)} rows of visibility; {where}"
@@ -157,7 +157,7 @@ def forms(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, qui
     four_forms(
         table,
         f"forms, {name}, 320",
-        lambda compiled: ptt.TripleProductRelighter(scene, 2, compiled=compiled),
+        lambda compiled: ptt.TripleProductRelighter(scene, 2, highlights="triangles", compiled=compiled),
         light,
         edit,
         lambda k: replace(pixels, camera=camera.orbited(0.01 * k)),
@@ -183,7 +183,7 @@ def light_change(table: Table, name: str, scene: ptt.Scene, light: ptt.Environme
     index = torch.randperm(len(pixels.pixel), generator=torch.Generator().manual_seed(0))[:COMPARED]
     truth = traced(scene, light, GIVEN, pixels, index, 256 if quick else 2048)
     for level in (1, 2) if quick else (1, 2, 3):
-        relighter = ptt.TripleProductRelighter(scene, level)
+        relighter = ptt.TripleProductRelighter(scene, level, highlights="triangles")
         what = f"light change, {name}, {relighter.grid.cells}"
         count_of = len(relighter.frames) * relighter.twists
         how = f"{count_of} frames; error: of {len(index)} pixels under the last map, with shadows; {setting()}"
@@ -195,7 +195,7 @@ def light_change(table: Table, name: str, scene: ptt.Scene, light: ptt.Environme
         start = time.perf_counter()
         before = relighter.prerotated(light)
         table.row(f"{what}, rotated before, time", time.perf_counter() - start, "s", how, paper="minutes")
-        table.row(f"{what}, rotated before, bytes of a light", before.bytes / 1e6, "MB", how)
+        table.row(f"{what}, rotated before, bytes of a light", before.frames.bytes / 1e6, "MB", how)
         for kind, given in (("on the fly", light), ("rotated before", before)):
             error = ptt.relative_rmse(relighter(given, GIVEN, pixels)[index], truth)
             table.row(f"{what}, {kind}, error", error, "relative RMSE", how)
@@ -224,7 +224,7 @@ def kept(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, quic
     pixels = ptt.GBuffer.of(scene, camera)
     exact = None
     for storage in get_args(Storage):
-        relighter = ptt.TripleProductRelighter(scene, 2, storage=storage)
+        relighter = ptt.TripleProductRelighter(scene, 2, storage=storage, highlights="triangles")
         functions, coats, points = relighter.prepared(light, GIVEN, pixels)
         radiance = relighter(light, GIVEN, pixels)
         exact = radiance if exact is None else exact
@@ -240,7 +240,7 @@ def kept(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, quic
 
 def extremes(table: Table, name: str, scene: ptt.Scene) -> None:
     """Dim and bright light, a sun of 1e9 in one texel."""
-    relighter = ptt.TripleProductRelighter(scene, 1)
+    relighter = ptt.TripleProductRelighter(scene, 1, highlights="triangles")
     sky = ptt.Environment.sun_sky(radius=10.0)
     whole = relighter(sky, GIVEN, scene.camera)
     for factor in (1e-6, 1e6):

@@ -109,7 +109,7 @@ def under(
     lights: Mapping[str, ptt.Environment],
 ) -> None:
     """A figure of one scene under several lights, on 1280 triangles."""
-    relighter = ptt.TripleProductRelighter(scene, 3)
+    relighter = ptt.TripleProductRelighter(scene, 3, highlights="triangles")
     strips = []
     for name, light in lights.items():
         exact = truth(scene, light, given, pixels)
@@ -125,7 +125,7 @@ def turned(light: ptt.Environment, *degrees: int) -> dict[str, ptt.Environment]:
 def figure_5(table: Table, scene: ptt.Scene, light: ptt.Environment) -> None:
     """Per vertex and per pixel, on a coarse mesh."""
     given = {"body": ptt.blinn_phong((0.25, 0.2, 0.15), 0.6, 60.0), "floor": ptt.lambert(0.5)}
-    relighter = ptt.TripleProductRelighter(scene, 3)
+    relighter = ptt.TripleProductRelighter(scene, 3, highlights="triangles")
     pixels = ptt.GBuffer.of(scene, scene.camera)
     per_vertex = pixels.interpolated(scene, relighter(light, given, scene.camera))
     images = {"per vertex": per_vertex, "per pixel": relighter(light, given, pixels)}
@@ -143,7 +143,7 @@ def figure_6(table: Table) -> None:
         ball = Part("ball", body[0] + torch.tensor([0.0, 0.45, 0.0]), body[1], material=ptt.lambert(0.5))
         scene = ptt.Scene.from_parts([ball, floor], camera=camera)
         atlas = ptt.Atlas.of(scene, 512) if "texture" in name else None
-        relighter = ptt.TripleProductRelighter(scene, 3, atlas=atlas)
+        relighter = ptt.TripleProductRelighter(scene, 3, atlas=atlas, highlights="triangles")
         pixels = ptt.GBuffer.of(scene, camera)
         images[name] = relighter(light, {}, pixels)
     save(6, [strip(table, "figure 6", pixels, images, truth(scene, light, scene.materials, pixels), light)])
@@ -206,7 +206,7 @@ def figure_7(table: Table, grace: ptt.Environment) -> None:
 
 def figure_9(table: Table, scene: ptt.Scene, light: ptt.Environment) -> None:
     """Exponents of 10, 40 and 160, on 1280 triangles."""
-    relighter = ptt.TripleProductRelighter(scene, 3)
+    relighter = ptt.TripleProductRelighter(scene, 3, highlights="triangles")
     pixels = ptt.GBuffer.of(scene, scene.camera)
     strips = []
     for exponent in (10.0, 40.0, 160.0):

@@ -63,14 +63,14 @@ def shining(
     radiance: Tensor,
     operations: Any,
 ) -> Tensor:
-    """Radiance (p, 3) with what points reflect by lobes of their groups, i of each.
+    """Radiance (p, 3) with what points reflect by lobes of their groups, i of each at most.
 
     seen (places, words) int32: what places see; eye (3,), or unit directions (p, 3) to it
     """
     for part in points:
         toward = eye if eye.ndim == 1 else eye[part.rows].T.contiguous()
         own = part.rows[: len(part.surface.place)]
-        for gloss, share in zip(glosses[part.group], part.shares, strict=True):
+        for gloss, share in zip(glosses[part.group], part.shares, strict=False):
             if gloss is None:
                 continue
             lit = light_for(gloss, light.split, light.through[:, part.rows])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -36,7 +36,15 @@ from ptt.relight.relighter import Relighter
 from ptt.relight.shape_tables import ShapeTables
 from ptt.relight.shining_points import LampLight, by_groups, shining
 from ptt.relight.triple_points import CoatedPoints, PointLookups, RelitPoints, SurfacePoints, coated, located
-from ptt.relight.triple_tables import check_memory, hemispheres, places_of, triangles, turned
+from ptt.relight.triple_tables import (
+    BITS_OF_TEXELS,
+    BITS_OF_VERTICES,
+    check_memory,
+    hemispheres,
+    places_of,
+    triangles,
+    turned,
+)
 from ptt.relight.viewpoint import View, eye_of, glow_of
 from ptt.scene.scene import Scene
 
@@ -84,7 +92,8 @@ class TripleProductRelighter(Relighter):
     views: along the edge of the hemi-octahedral map of view directions; 90 x 90 are as many as the paper's 128 x 64
     rays: along the edge of a triangle, for visibility, a power of two
     highlights: by narrow lobes of each material, with lamps apart (`ptt.ops.gloss`), for which every vertex has 2.4 KB
-        of what it sees, from some 5,000 rays; or on the triangles, as in the paper, faster, and blurred to their size
+        of what it sees, from some 5,000 rays, every texel 0.8 KB from 1,500; or on the triangles, as in the paper,
+        faster, and blurred to their size
     lobes: so many of each material; None for 16, and 32 of a wide metal
     storage: of light and BRDFs (`Storage`); visibility has 8 bits
     atlas: texels that hold visibility, for meshes too coarse for shadows; None for that of the vertices
@@ -155,7 +164,8 @@ class TripleProductRelighter(Relighter):
         own = rotation.frames_of(Octahedral(normals).directions().reshape(-1, 3))
         self.narrow = highlights == "lobes"
         places = places_of(scene, atlas)
-        check_memory(self.grid.cells, len(own) * twists, views**2, len(places[0]), self.narrow)
+        bits = BITS_OF_TEXELS if atlas else BITS_OF_VERTICES
+        check_memory(self.grid.cells, len(own) * twists, views**2, len(places[0]), bits if self.narrow else 0)
         self.light = self._light_step(source)
         s = rotation.resampling(Octahedral(source), self.grid, turned(own, twists))
         none = torch.empty(0, 0, dtype=torch.int32)
@@ -164,7 +174,7 @@ class TripleProductRelighter(Relighter):
             "starts": s.starts,
             "reads": s.reads,
             "visibility": triangles(scene, places, self.grid, rays, progress),
-            "seen": hemispheres(scene, places, progress) if self.narrow else none,
+            "seen": hemispheres(scene, places, bits, progress) if self.narrow else none,
             "places": places[1].float(),
             "dull": local.cosine(self.grid),
         }
@@ -304,12 +314,17 @@ class TripleProductRelighter(Relighter):
         glossy, first, specular = self._no_table(), torch.zeros(diffuse.shape[:2], dtype=torch.int32), diffuse * 0
         glosses: list[list[Gloss | None]] = []
         if self.narrow:
-            glosses = [[self._glosses(m, self.dull) for m in group] for group in zip(*layers, strict=True)]
+            glosses = [self._lobes_of(material, group) for material in materials for group in material.groups]
         else:
             glossy, first = self._of_shapes(layers)
             specular = torch.stack([torch.stack([m.specular for m in layer]) for layer in layers]).to(self.dull)
         coats = RegionCoats(diffuse, specular, first.to(self.dull.device))
         return Exitant(Functions(incident.frames, self.visibility, self.dull, glossy), coats, glosses, incident)
+
+    def _lobes_of(self, material: SurfaceMaterial, group: Sequence[int]) -> list[Gloss | None]:
+        """The lobes of a group of layers; all highlights of a material that is the same everywhere have common ones."""
+        own = [material] if isinstance(material, Material) else [material.layers[k] for k in group]
+        return [self._glosses(layer, self.dull) for layer in own]
 
     def _of_shapes(self, layers: list[tuple[Material, ...]]) -> tuple[Table, Tensor]:
         """The tables of the shapes of layers, one after the other, and the row where that of each begins."""
