@@ -34,7 +34,6 @@ COSINE = 1e-3  # f below the horizon is as at this cosine, so that it may be int
 FEW, MANY = 16, 32  # lobes by default: of a material, and of a wide metal
 WIDE = 62.0  # degrees that it covers as one lobe, as GGX of roughness 0.39: 16 lobes of it are 20 degrees wide
 METAL = 0.2  # of the light from all around that it reflects
-SHARP = 2.5  # degrees, the radius of a lamp (`ptt.light.lamps.INNER`)
 
 Reflects = Callable[[Tensor, Tensor], Tensor]
 """f(wi, wo) (..., c) [1/sr] of local unit directions (..., 3)."""
@@ -260,14 +259,14 @@ class Gloss(NamedTuple):
     lobes: of all light but lamps
     values (turns * tilts, rings, sectors, c): the root of f for lamps
     whole (TILTS, ROW): all of it as one lobe; parts (TILTS, PARTS, ROW): as a few
-    sharp: says whether half of what it reflects lies so close to the mirror direction that lamps are seen as areas
+    spread: degrees around the mirror direction within which half of what it reflects lies, seen straight on
     """
 
     lobes: Lobes
     values: Tensor
     whole: Tensor
     parts: Tensor
-    sharp: bool
+    spread: float
 
 
 def gloss_of(reflects: Reflects, isotropic: bool, n: int | None = None, sums: CellSums = cell_sums) -> Gloss:
@@ -278,7 +277,7 @@ def gloss_of(reflects: Reflects, isotropic: bool, n: int | None = None, sums: Ce
     lobes = Lobes(_table(found), samples.turns)
     whole = _as_one_lobe(found, samples.turns)
     parts = pad(_table(sums(mirrored, samples.reflected, PARTS)), (0, 1)) if isotropic else in_parts(whole)
-    return Gloss(lobes, roots(samples), whole, parts, is_sharp(samples))
+    return Gloss(lobes, roots(samples), whole, parts, spread(samples))
 
 
 def in_parts(whole: Tensor) -> Tensor:
@@ -307,8 +306,10 @@ def enough(samples: Samples) -> int:
     return MANY if wide and bool(albedo.max() > METAL) else FEW
 
 
-def is_sharp(samples: Samples) -> bool:
-    """Tell whether, seen straight on, half of what is reflected lies within `SHARP` degrees of the mirror direction."""
+def spread(samples: Samples) -> float:
+    """Degrees around the mirror direction within which half of what is reflected lies, seen straight on."""
     mass = beneath(samples.reflected).detach()[TILTS - 1].sum(1)
-    near = outside(nodes, 1).mirrored[TILTS - 1, 2] > math.cos(math.radians(SHARP))
-    return bool(mass[near].sum() > mass.sum() / 2)
+    cosine, order = outside(nodes, 1).mirrored[TILTS - 1, 2].sort(descending=True)
+    inside = mass[order].cumsum(0)
+    half = int((inside < inside[-1] / 2).sum())
+    return math.degrees(math.acos(min(1.0, float(cosine[half]))))

@@ -23,6 +23,7 @@ from ptt.ops import cells, haar, slices
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.octahedral import Octahedral, mix
 from ptt.ops.slices import ALIGNED, NormalLookup, Slices
+from ptt.relight.glosses import CELL, lamps_for
 from ptt.relight.light_step import LightStep
 from ptt.relight.operations import operations
 from ptt.relight.relighter import Relighter
@@ -65,23 +66,28 @@ class SurfacePoints(NamedTuple):
 
 
 class Highlighted(NamedTuple):
-    """A shape: its slices; the root of f as lamps take it (`ops.gloss.reflected_lamps`); whether it is so sharp that it
-    shows lamps as areas, which slices do."""
+    """A shape: its slices; the root of f as lamps take it (`ops.gloss.reflected_lamps`); how wide it is
+    (`ops.cells.spread`)."""
 
     slices: Slices
     roots: Tensor
-    sharp: bool
+    spread: float
+
+    @property
+    def on_map(self) -> bool:
+        """Whether it is so sharp that slices show lamps better."""
+        return self.spread < CELL
 
 
 class Reflected(NamedTuple):
     """A highlight in one region: local light as its slices take it, these and the first of each point, the root of f
-    and the lamps apart, its weight."""
+    and the lamps apart (`glosses.lamps_for`), its weight."""
 
     light: Tensor
     slices: Slices
     first: Tensor
     roots: Tensor
-    lamps: Lamps
+    lamps: tuple[Tensor, Tensor, Tensor] | None
     weight: Tensor
 
 
@@ -295,7 +301,7 @@ class EnvMapRelighter(Relighter):
     ) -> list[RegionExitant]:
         """What the slices of each region's shapes are multiplied by, and what its diffuse part sends out."""
         # One shape may be a layer of several groups
-        projected = cache(lambda of: slices.project(incident.whole() if of.sharp else incident.local, of.slices))
+        projected = cache(lambda of: slices.project(incident.whole() if of.on_map else incident.local, of.slices))
         return [
             self._exitant_of(incident, part, [material.layers[k] for k in part.layers], projected)
             for parts, material in zip(points, materials, strict=True)
@@ -313,7 +319,6 @@ class EnvMapRelighter(Relighter):
         lookup = points.lookup
         irradiance = mix(incident.irradiance, lookup.near.T.long(), lookup.weights.T)[:, :3]
         irradiance = irradiance + incident.lamps.irradiance(lookup.normal)
-        none = incident.lamps.none(irradiance)
         shares = [irradiance.new_ones(1)] * len(layers) if part.shares is None else list(part.shares)
         albedo = torch.stack(
             [layer.diffuse.to(irradiance) * share for layer, share in zip(layers, shares, strict=True)]
@@ -324,7 +329,7 @@ class EnvMapRelighter(Relighter):
             for highlight in layer.highlights:
                 made = self._tables(highlight.shape, self.cosine.device)
                 first = slices.first_slice(made.slices, lookup.twist)
-                lamps = none if made.sharp else incident.lamps
+                lamps = None if made.on_map else lamps_for(made.spread, incident.lamps)
                 weight = highlight.colour.to(diffuse) * share * points.occlusion
                 highlights.append(Reflected(projected(made), made.slices, first, made.roots, lamps, weight))
         return RegionExitant(diffuse, highlights)
@@ -345,9 +350,9 @@ class EnvMapRelighter(Relighter):
         by_slices: Tensor = self._operations.reflected(
             sent.light, sent.slices, sent.first, self.rotation.frames, points.lookup, toward
         )[:, :3]
-        if not len(sent.lamps.directions):
+        if sent.lamps is None or not len(sent.lamps[0]):
             return by_slices
-        directions, powers = sent.lamps[:2]
+        directions, powers, _ = sent.lamps
         of_lamps: Tensor = self._operations.reflected_lamps(
             points.position, points.frames, toward, sent.roots, directions, powers
         )
@@ -356,7 +361,7 @@ class EnvMapRelighter(Relighter):
     def _highlighted(self, shape: Shape) -> Highlighted:
         sampled = cells.sampled(lambda wi, wo: shape.evaluate(wi, wo)[..., None].expand(wi.shape), shape.isotropic)
         roots = cells.roots(sampled).contiguous().to(self.cosine.device)
-        return Highlighted(self.slices_of(shape), roots, cells.is_sharp(sampled))
+        return Highlighted(self.slices_of(shape), roots, cells.spread(sampled))
 
     def slices_of(self, shape: Shape) -> Slices:
         """The slices of a shape; a subclass may return others (`Slices.with_tensorly`)."""

@@ -96,7 +96,7 @@ def _plain(*arguments: Any) -> Tensor:
     g = _Shine(*arguments)
     light = GlossLight(g.maps, g.turn, g.lamps, g.powers, g.through)
     points = SurfaceBlocks(g.position, g.frame, None, g.position.new_empty(0), g.place)
-    gloss = Gloss(Lobes(g.table, g.turns), g.values, g.table[:0], g.table[:0], sharp=False)
+    gloss = Gloss(Lobes(g.table, g.turns), g.values, g.table[:0], g.table[:0], spread=90.0)
     around = None if g.meets is None else Around(*arguments[-len(Around._fields) :])
     between = Between(*arguments[WHERE]) if g.rows is not None else None
     return plain.shine(points, g.eye, g.seen, gloss, light, around, g.share, between)

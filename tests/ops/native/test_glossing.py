@@ -63,7 +63,7 @@ def inputs(
         points,
         eye,
         words(n, words_of(BITS), g),
-        Gloss(Lobes(table, turns), values, table[:0], table[:0], sharp=False),
+        Gloss(Lobes(table, turns), values, table[:0], table[:0], spread=90.0),
         light,
     )
 

@@ -112,7 +112,7 @@ def shine() -> None:
         uniform(TILTS, RINGS, SECTORS, 3),
         uniform(TILTS, ROW),
         uniform(TILTS, PARTS, ROW),
-        sharp=False,
+        spread=90.0,
     )
     meets = torch.arange(n * MET, dtype=torch.int32).reshape(n, -1) % 4 - 1
     records = torch.cat((torch.eye(3).flatten().expand(3, -1), torch.zeros(3, RECORD - 9)), 1)
