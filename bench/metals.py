@@ -23,6 +23,7 @@ from torch import Tensor
 import ptt
 from bench.against import without_bounces
 from bench.machine import SETS, printed
+from bench.metals_brushed import brushed
 from bench.metals_measured import measured
 from bench.metals_seen import Seen
 from bench.metals_speed import COUNTS, GOLD
@@ -46,7 +47,7 @@ PLASTICS = {
     "plastic, roughness 0.4": ptt.ggx((0.3, 0.08, 0.05), 1.0, 0.04, 0.4),
 }
 TRADED = ("gold, roughness 0.3", "gold, roughness 0.5", "plastic, roughness 0.2")
-PARTS = ("furnace", "measured", "unshadowed", "triple", "suzanne", "dragon", "engine")
+PARTS = ("furnace", "measured", "unshadowed", "triple", "brushed", "suzanne", "dragon", "engine")
 MAPS = ("uffizi.hdr", "grace.hdr", "interior.exr")
 FORMS = {"tensor": ("tensor", None), "lobes": ("lobes", None), "lobes, 48": ("lobes", 48)}
 
@@ -58,7 +59,7 @@ def main() -> None:
     options = parser.parse_args()
     if "PTT_DATA" not in os.environ:
         parser.error("set PTT_DATA to the folder with meshes and hdri")
-    for name in options.only[: 5 if options.quick else None]:
+    for name in options.only[: 6 if options.quick else None]:
         table = Table("metals")
         if name == "furnace":
             _furnace(table)
@@ -66,6 +67,8 @@ def main() -> None:
             measured(table, 2 if options.quick else None)
         elif name == "unshadowed":
             unshadowed(table, METALS | PLASTICS, MAPS, *((100, 64) if options.quick else (500, 1024)))
+        elif name == "brushed":
+            brushed(table, MAPS, *((100, 64) if options.quick else (500, 512)))
         elif name == "triple":
             direct(table, METALS | PLASTICS, MAPS, *((100, 64) if options.quick else (500, 1024)))
         else:

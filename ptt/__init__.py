@@ -26,7 +26,7 @@ from ptt.materials.varying import MetalRough, Mixed
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.light_rotation import LightRotation
 from ptt.models.tensor_brdf import TensorBRDF, usual_ranks
-from ptt.models.transfer_model import TransferModel, usual_highlights
+from ptt.models.transfer_model import TransferModel
 from ptt.relight.envmap_relighter import EnvMapRelighter
 from ptt.relight.transfer_relighter import TransferRelighter
 from ptt.relight.triple_relighter import TripleProductRelighter
@@ -98,7 +98,6 @@ __all__ = [
     "separate",
     "separation_error",
     "tabulated",
-    "usual_highlights",
     "usual_ranks",
     "ward",
     "without_hidden",

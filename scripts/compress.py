@@ -31,9 +31,9 @@ class Config:
     """BRDF, outgoing and incident factors of the BRDF tensor; storage grows with the last."""
     lobes: int = 3
     """Lobes, of 0, 7, 14 and 21 degrees, that are taken out of the tensor, for sharp highlights; 0..4."""
-    highlights: Literal["auto", "lobes", "tensor"] = "auto"
+    highlights: Literal["lobes", "tensor"] = "lobes"
     """How points reflect glossily: narrow lobes made for each material, or the BRDF tensor and its lobes as in the
-    paper, faster and less exact; auto: narrow lobes, the tensor for brushed shapes."""
+    paper, faster and less exact."""
     functions: int = 4
     """Specular functions by which light is reflected on its way."""
     coefficients: int = 96
@@ -63,9 +63,8 @@ def main() -> None:
     basis = ptt.BRDFBasis.fit(space, config.functions)
     fitted = time.perf_counter()
     memory = config.max_memory * 1e9
-    highlights = ptt.usual_highlights(space) if config.highlights == "auto" else config.highlights
     model = ptt.compress(
-        raw, config.coefficients, brdf, basis, clusters, highlights=highlights, max_memory=memory, progress=True
+        raw, config.coefficients, brdf, basis, clusters, highlights=config.highlights, max_memory=memory, progress=True
     )
     done = time.perf_counter()
 

@@ -139,8 +139,7 @@ def traced(scene: ptt.Scene, space: ptt.BRDFSpace, config: Config) -> ptt.Transf
     raw = ptt.precompute(scene, config.bounces, rays=config.rays, progress=True)
     brdf = ptt.TensorBRDF.fit(space, ptt.usual_ranks(space), separated=3)
     basis = ptt.BRDFBasis.fit(space, config.functions)
-    highlights = ptt.usual_highlights(space)
-    return ptt.compress(raw, config.coefficients, brdf, basis, highlights=highlights, progress=True)
+    return ptt.compress(raw, config.coefficients, brdf, basis, highlights="lobes", progress=True)
 
 
 def judge(

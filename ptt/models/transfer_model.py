@@ -26,11 +26,6 @@ Highlights = Literal["lobes", "tensor"]
 lobes (Sun et al. 2007)."""
 
 
-def usual_highlights(space: BRDFSpace) -> Highlights:
-    """Narrow lobes; the tensor for brushed shapes, for which narrow lobes have no kernel yet."""
-    return "lobes" if space.isotropic else "tensor"
-
-
 class SparseTransfer(NamedTuple):
     """T0 with few coefficients, row by row: rows (i, v) in this order, columns l ascending.
 

@@ -273,7 +273,8 @@ class TripleProductRelighter(Relighter):
     def points(self, view: View, eye: Tensor, materials: Mapping[str, SurfaceMaterial]) -> RelitPoints:
         """Where the functions of vertices or pixels are found, seen from an eye."""
         own = list(materials.values())
-        at = self._located(view, brushed=not all(layer.isotropic for m in own for layer in m.layers))
+        brushed = not self.narrow and not all(layer.isotropic for m in own for layer in m.layers)
+        at = self._located(view, brushed)
         surface = at.surface
         varying = [len(m.layers) if isinstance(m, Material) else m for m in own]
         coats: CoatedPoints = self._coated((at, varying), lambda: coated(self.scene, surface, own))

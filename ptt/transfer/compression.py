@@ -9,7 +9,7 @@ from ptt.materials.spaces import BRDFSpace
 from ptt.materials.varying import SurfaceMaterial
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.tensor_brdf import TensorBRDF, usual_ranks
-from ptt.models.transfer_model import Highlights, SparseTransfer, TransferModel, usual_highlights
+from ptt.models.transfer_model import Highlights, SparseTransfer, TransferModel
 from ptt.ops.haar import Truncated
 from ptt.ops.sphere import Cube
 from ptt.transfer.assembly import assemble, direct_light
@@ -43,9 +43,8 @@ def compress(
     editable: materials and spaces that shall be shown too; printing the model tells what it shows
     highlights: how points reflect glossily: "lobes", narrow ones made for each material, which hold for plastics and
         metals alike (docs/metals.md); or "tensor", the BRDF tensor and its lobes, as in the paper, three to five times
-        as fast. Default: lobes; the tensor where `brdf` is given, where there are no clusters, and for brushed shapes,
-        for which lobes have no kernel yet. A saved model lacks the functions of BRDFs of your own: lobes ask for them
-        when it relights, the tensor holds what it needs
+        as fast. Default: lobes; the tensor where `brdf` is given, and where there are no clusters. A saved model lacks
+        the functions of BRDFs of your own: lobes ask for them when it relights, the tensor holds what it needs
     max_memory: bytes that may be in use
     progress: show bars with the rate and the time left
 
@@ -64,8 +63,7 @@ def compress(
     if clusters is None and raw.bounces:
         raise ValueError("light that bounces needs clusters, got None")
     own = raw.receivers
-    if highlights is None and (brdf is not None or clusters is None):
-        highlights = "tensor"
+    highlights = highlights or ("lobes" if brdf is None and clusters is not None else "tensor")
     if brdf is None:
         space = BRDFSpace.holding([*own.materials.values(), *editable])
         _check_shown(space, own.materials)
@@ -73,7 +71,6 @@ def compress(
     elif editable:
         raise ValueError("editable is for the brdf that is made here: fit the given one to BRDFSpace.holding(...)")
     _check_shown(brdf.space, {n: own.materials[n] for n, may in zip(own.names, own.editable, strict=True) if not may})
-    highlights = highlights or usual_highlights(brdf.space)
     if clusters is not None:
         basis = basis or BRDFBasis.fit(brdf.space)
         transfer = assemble(
