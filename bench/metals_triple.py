@@ -11,6 +11,8 @@ from itertools import count
 from pathlib import Path
 from typing import get_args
 
+import torch
+
 import ptt
 from bench.metals_seen import Seen
 from bench.metals_speed import GOLD
@@ -41,6 +43,22 @@ def direct(
             seen.errors(table, what, relighters["lobes"](light, given, seen.eye), truth, GOALS.get(key, "<= 0.05"))
         _brightness(table, f"triple, {Path(file).stem}, matt, pixels", relighters, light, samples // 8)
     _frames(table, relighters)
+    if samples > 64:
+        _picture(relighters)
+
+
+def _picture(relighters: Mapping[str, ptt.TripleProductRelighter]) -> None:
+    """Gold on a matt table under grace: the reference, lobes, triangles."""
+    scene = relighters["lobes"].scene
+    light = ptt.Environment.load(Path(os.environ["PTT_DATA"]) / "hdri" / "grace.hdr")
+    given = {scene.regions[0].name: ptt.ggx(0.0, 1.0, GOLD, 0.25), scene.regions[1].name: MATT}
+    pixels = ptt.GBuffer.of(scene, replace(scene.camera, width=400, height=360))
+    exact = reference.image(scene, light, given, pixels.camera, bounces=0, samples=512).mean.float()
+    shown = [pixels.image(relighter(light, given, pixels), light).pixels for relighter in relighters.values()]
+    picture = torch.cat([exact, *shown], 1)
+    ptt.Image((picture / exact.flatten().quantile(0.97)).clamp(0, 1)).save(
+        ROOT / "docs" / "images" / "metals_triple.png"
+    )
 
 
 def _brightness(
