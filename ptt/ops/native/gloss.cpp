@@ -28,7 +28,8 @@ struct Lobe {
 };
 
 // Of a group of points: the local direction to the eye, and unit (u, v) along it as seen from above; the row of tables
-// below it, and the share of the row above; of anisotropic f, the first rows of two azimuths, and the share of the next.
+// below it, and the share of the row above; of anisotropic f, the first rows of two azimuths, and the share of the
+// next.
 struct Stand {
     Lanes wo[3], u, v, frame[3][3], share, onward;
     Ints row, turn, next;
@@ -120,8 +121,9 @@ static inline void look(const Shine &g, int64_t v, Look &at) {
     for (int r = 0; r < 3; ++r) turned(at.frame[r], g.turn, to_map[r]);
     for (int j = 0; j < g.each; ++j) {
         const Ints row = (Ints)gather((const float *)g.rows + v * g.each + j, g.each * lane());
-        at.corners[j].from = row * Layout(g.bits).all, at.corners[j].weight = gather(g.weights + v * g.each + j, g.each * lane());
-        frames_at(g.places, row, at.corners[j].frame);
+        Corner &corner = at.corners[j];
+        corner.from = row * Layout(g.bits).all, corner.weight = gather(g.weights + v * g.each + j, g.each * lane());
+        frames_at(g.places, row, corner.frame);
     }
     const int columns = COLUMNS * g.lobes;
     for (int l = 0; l < LANES; ++l) {
@@ -562,7 +564,8 @@ static inline void lamp_around(const Lit &g, int64_t v, const Stand &at, int64_t
     const Lanes around = sector - real(left);
     Lanes root[3] = {};
     for (int k = 0; k < 16; ++k) {  // a row or the next, of tilts, azimuths, rings and sectors
-        const Ints number = (left + (k & 1)) & (sectors - 1), place = number < SECTORS ? number : 3 * SECTORS - 1 - number;
+        const Ints number = (left + (k & 1)) & (sectors - 1);
+        const Ints place = number < SECTORS ? number : 3 * SECTORS - 1 - number;
         const Ints row = at.row + (k >> 3) + (k & 4 ? at.next : at.turn), ring = half.ring + (k >> 1 & 1);
         const Ints from = ((row * RINGS + ring) * sectors + place) * 3;
         const Lanes weight = (k & 1 ? around : 1 - around) * (k & 2 ? half.share : 1 - half.share) *
