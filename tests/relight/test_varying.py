@@ -79,13 +79,17 @@ def test_a_map_of_two_roughnesses_is_either_at_each_point(kind: str, relighter: 
         assert ptt.relative_rmse(*each) > 0.02
 
 
-def test_it_is_as_the_uniform_material(relighter: Any3) -> None:
-    """`metal_rough` of the same values, on the white ball; on the floor its base colour tints the metal too."""
+def test_it_is_as_the_uniform_material(kind: str, relighter: Any3) -> None:
+    """`metal_rough` of the same values, on the white ball; on the floor its base colour tints the metal too.
+
+    Narrow lobes are of all highlights of the one together, and of each layer of the other: alike but for their cells.
+    """
     given = (0.9, 0.6, 0.3), 1.0, ROUGH
     found, plain = (
         relighter(SKY, {"ball": m}, SCENE.camera) for m in (ptt.MetalRough(*given), ptt.metal_rough(*given))
     )
-    torch.testing.assert_close(found, plain, rtol=2e-3, atol=2e-3)
+    torch.testing.assert_close(found, plain, rtol=2e-3, atol=5e-3 if kind == "triple" else 2e-3)
+    assert ptt.relative_rmse(found, plain) < 2e-3
     floor = relighter(SKY, {"floor": ptt.MetalRough(*given)}, SCENE.camera)
     vertex = int((SCENE.vertex_region == 1).nonzero()[90, 0])
     tinted = ptt.metal_rough((torch.tensor(given[0]) * SCENE.colours[vertex]).tolist(), *given[1:])
