@@ -13,6 +13,7 @@ from ptt import reference
 from ptt.materials.varying import KNOTS, SurfaceMaterial
 from ptt.models.slots import OWN
 from ptt.ops import mesh
+from ptt.relight.triple_relighter import Highlights
 from ptt.scene.parts import Part
 
 SKY = ptt.Environment.sun_sky(radius=25.0)
@@ -38,15 +39,16 @@ SCENE = ball_over_floor(ptt.ggx(0.2, 1.0, 0.04, 0.4), ptt.ggx(0.5, 1.0, 0.04, 0.
 Any3 = ptt.TripleProductRelighter | ptt.EnvMapRelighter | ptt.TransferRelighter
 
 
-@pytest.fixture(scope="module", params=["triple", "envmap", "points", "clusters"])
+@pytest.fixture(scope="module", params=["triple", "triple, lobes", "envmap", "points", "clusters"])
 def kind(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
 @pytest.fixture(scope="module")
 def relighter(kind: str) -> Any3:
-    if kind == "triple":
-        return ptt.TripleProductRelighter(SCENE, 1, normals=8, twists=8, source=16, views=24)
+    if kind in ("triple", "triple, lobes"):
+        highlights: Highlights = "triangles" if kind == "triple" else "lobes"
+        return ptt.TripleProductRelighter(SCENE, 1, normals=8, twists=8, source=16, views=24, highlights=highlights)
     if kind == "envmap":
         return ptt.EnvMapRelighter(SCENE, ptt.LightRotation.build(16, normals=8), views=16)
     space = ptt.BRDFSpace.ggx((ROUGH, SMOOTH, 1.0))
@@ -88,7 +90,7 @@ def test_it_is_as_the_uniform_material(kind: str, relighter: Any3) -> None:
     found, plain = (
         relighter(SKY, {"ball": m}, SCENE.camera) for m in (ptt.MetalRough(*given), ptt.metal_rough(*given))
     )
-    torch.testing.assert_close(found, plain, rtol=2e-3, atol=5e-3 if kind == "triple" else 2e-3)
+    torch.testing.assert_close(found, plain, rtol=2e-3, atol=5e-3 if kind == "triple, lobes" else 2e-3)
     assert ptt.relative_rmse(found, plain) < 2e-3
     floor = relighter(SKY, {"floor": ptt.MetalRough(*given)}, SCENE.camera)
     vertex = int((SCENE.vertex_region == 1).nonzero()[90, 0])

@@ -185,7 +185,7 @@ static inline Lanes sky_between(const Shine &g, const Look &at, const Lobe &lobe
     for (int j = 0; j < g.each; ++j) {
         const Corner &corner = at.corners[j];
         Lanes height, a, b;
-        const Lanes share = corner.weight * risen(corner.frame, d, g.rise, height);
+        const Lanes share = corner.weight * risen(corner.frame + 6, d, g.rise, height);
         if (!any(share > 0)) continue;
         local_at(corner.frame, d, height, a, b);
         total += share * visible(g.seen, of, corner.from, a, b, lobe.level), counts += share;

@@ -24,7 +24,7 @@ extern "C" int32_t ptt_lamps_seen(const LampsSeen *given) {
             for (int64_t i = m * g.each; i < (m + 1) * g.each; ++i) {
                 if (g.shares[i] == 0) continue;
                 const Lanes d[3] = {all(g.areas[3 * i]), all(g.areas[3 * i + 1]), all(g.areas[3 * i + 2])};
-                risen(frame, d, 1, height);
+                risen(frame + 6, d, 1, height);
                 if (!any(height > 0)) continue;
                 local_at(frame, d, height, a, b);
                 sum += height > 0 ? g.shares[i] * bits_at(g.seen, of.bits, row * of.all, a, b) : all(0);
@@ -47,11 +47,11 @@ extern "C" int32_t ptt_lamps_between(const LampsBetween *given) {
             for (int c = 0; c < 3; ++c) normal[j][c] = gather(g.frames + 6 + c, 9 * row[j]);
         }
         for (int64_t m = 0; m < g.sources; ++m) {
-            const float *d = g.lamps + 3 * m;
-            Lanes total = all(0), counts = all(0);
+            const float *lamp = g.lamps + 3 * m;
+            const Lanes d[3] = {all(lamp[0]), all(lamp[1]), all(lamp[2])};
+            Lanes total = all(0), counts = all(0), height;
             for (int j = 0; j < g.each; ++j) {
-                const Lanes height = normal[j][0] * d[0] + normal[j][1] * d[1] + normal[j][2] * d[2];
-                const Lanes share = weight[j] * least(most(height * g.rise, all(0)), all(1));
+                const Lanes share = weight[j] * risen(normal[j], d, g.rise, height);
                 total += share * gather(g.through + m * g.places, row[j]), counts += share;
             }
             put(total / most(counts, all(TINY)), g.out + m * g.points, first, g.points);

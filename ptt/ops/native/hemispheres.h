@@ -61,9 +61,9 @@ static inline void frames_at(const float *frames, Ints row, Lanes *frame) {
     frame[8] = gather(frames + 8, 9 * row);
 }
 
-// The height of a direction in the world above the horizon of a frame, and how much that counts: in full from RISEN on.
-static inline Lanes risen(const Lanes *frame, const Lanes *d, float rise, Lanes &height) {
-    height = frame[6] * d[0] + frame[7] * d[1] + frame[8] * d[2];
+// The height of a direction in the world above the horizon of a normal, and how much that counts: in full from RISEN on.
+static inline Lanes risen(const Lanes *normal, const Lanes *d, float rise, Lanes &height) {
+    height = normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2];
     return least(most(height * rise, all(0)), all(1));
 }
 
