@@ -5,8 +5,9 @@ Where a kernel does not fit (another device or type, gradients, no compiler), th
 tells why.
 """
 
+from ptt.ops.native.cells import cell_sums
 from ptt.ops.native.forming import quantised
-from ptt.ops.native.glossing import cell_sums, lamp_visibility, reflected_lamps, shine
+from ptt.ops.native.glossing import lamp_visibility, reflected_lamps, shine
 from ptt.ops.native.hemispheres import lamps_between, lamps_seen
 from ptt.ops.native.kernels import available, prepare
 from ptt.ops.native.maps import octahedral_means
