@@ -22,12 +22,14 @@ from ptt.models.light_rotation import LightRotation
 from ptt.ops import cells, haar, slices
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.octahedral import Octahedral, mix
-from ptt.ops.slices import ALIGNED, NormalLookup, Slices
+from ptt.ops.slices import Slices
 from ptt.relight.glosses import CELL, lamps_for
 from ptt.relight.light_step import LightStep
 from ptt.relight.operations import operations
 from ptt.relight.relighter import Relighter
 from ptt.relight.shape_tables import ShapeTables
+from ptt.relight.sorted_points import LayeredPoints, SortedPoints, by_layers, whole
+from ptt.relight.surface_points import SurfacePoints
 from ptt.relight.viewpoint import View, glow_of
 from ptt.scene.scene import Scene
 
@@ -50,19 +52,6 @@ class LocalLight(NamedTuple):
     irradiance: Tensor
     lamps: Lamps
     whole: Callable[[], Tensor]
-
-
-class SurfacePoints(NamedTuple):
-    """Points of any kind: positions (v, 3), frames (v, 3, 3), colours (v, 3), occlusion (v,); region (v,); where on the
-    mesh: triangle (v,), barycentric (v, 3)."""
-
-    positions: Tensor
-    frames: Tensor
-    colours: Tensor
-    occlusion: Tensor
-    region: Tensor
-    triangle: Tensor
-    barycentric: Tensor
 
 
 class Highlighted(NamedTuple):
@@ -96,55 +85,6 @@ class RegionExitant(NamedTuple):
 
     diffuse: Tensor
     highlights: list[Reflected]
-
-
-@in_python
-class RegionPoints(nn.Module):
-    """The points of one region, sorted by the normal that is nearest, so that the local light stays in the cache.
-
-    rows (v,): which they are; beyond the count of points the last one again, until v is a multiple of `ALIGNED`
-    colour (v, 3), occlusion (v, 1), frames (3, 3, v): of the surface
-    """
-
-    rows: Tensor
-    colour: Tensor
-    occlusion: Tensor
-    frames: Tensor
-
-    def __init__(
-        self, count: int, rows: Tensor, lookup: NormalLookup, colour: Tensor, occlusion: Tensor, frames: Tensor
-    ) -> None:
-        super().__init__()
-        self.count = count
-        own = {"rows": rows, "colour": colour, "occlusion": occlusion, "frames": frames}
-        for name, tensor in (own | lookup._asdict()).items():
-            self.register_buffer(name, tensor, persistent=False)
-
-    @classmethod
-    def of(cls, rows: Tensor, surface: SurfacePoints, sampled: Tensor) -> RegionPoints:
-        """The points in those rows of a surface, among sampled frames (f, 3, 3)."""
-        nearest = Octahedral(math.isqrt(len(sampled))).cell(surface.frames[rows, 2])
-        count = len(rows)
-        rows = rows[nearest.argsort(stable=True)]
-        rows = torch.cat((rows, rows[-1:].expand(-count % ALIGNED)))
-        positions, frames, colour, occlusion = (x[rows] for x in surface[:4])
-        lookup = slices.located(positions, frames, sampled)
-        return cls(count, rows, lookup, colour, occlusion[:, None], frames.movedim(0, 2).contiguous())
-
-    @property
-    def lookup(self) -> NormalLookup:
-        """The points among the sampled normals."""
-        return NormalLookup(*(self.get_buffer(name) for name in NormalLookup._fields))
-
-
-class LayeredPoints(NamedTuple):
-    """The points of a region that have the same layers: those of its material by their numbers, and how much of each
-    (m, v, 3), None for all of every layer; the base colour (v, 3)."""
-
-    points: RegionPoints
-    layers: tuple[int, ...]
-    shares: Tensor | None
-    colour: Tensor
 
 
 @in_python
@@ -206,7 +146,7 @@ class EnvMapRelighter(Relighter):
         self.register_buffer("cosine", slices.cosine(rotation.m).float(), persistent=False)
         shade = torch.ones(len(scene.vertices), dtype=torch.float32) if occlusion is None else occlusion.float()
         self.register_buffer("occlusion", shade, persistent=False)
-        self.vertices = nn.ModuleList(self._sorted(self._of_vertices()))
+        self.vertices = nn.ModuleList(self._sorted(scene.points))
         self._pixels = Cache()
         self._layered = Cache()
         self._tables: ShapeTables[Highlighted] = ShapeTables(self._highlighted)
@@ -232,53 +172,38 @@ class EnvMapRelighter(Relighter):
 
     def points(self, view: View, eye: Tensor, materials: Mapping[str, Any]) -> list[list[LayeredPoints]]:
         """The points of every region, vertices or pixels, by the layers that they have."""
-        parts = [part for part in self.vertices if isinstance(part, RegionPoints)]
+        device = self.cosine.device
+        parts = [part for part in self.vertices if isinstance(part, SortedPoints)]
         if isinstance(view, GBuffer):
-            parts = self._pixels((view, watched(self)), lambda: self._of_pixels(view))
+            parts = self._pixels((view, watched(self)), lambda: [part.to(device) for part in self._sorted(view)])
         varying = [None if isinstance(m, Material) else m for m in materials.values()]
         if not any(varying):
-            return [[_whole(part, m)] for part, m in zip(parts, materials.values(), strict=True)]
-        surface = self._surface_of(view) if isinstance(view, GBuffer) else self._of_vertices()
+            return [[whole(part, m)] for part, m in zip(parts, materials.values(), strict=True)]
         found: list[list[LayeredPoints]] = self._layered(
             (parts, varying, [len(m.layers) for m in materials.values()]),
-            lambda: [self._by_layers(*pair, surface) for pair in zip(parts, materials.values(), strict=True)],
+            lambda: self._by_layers(view, parts, list(materials.values())),
         )
         return found
 
-    def _of_vertices(self) -> SurfacePoints:
-        scene = self.scene
-        surface = (scene.points, scene.frames, scene.colours, self.occlusion.cpu(), scene.vertex_region)
-        return SurfacePoints(*surface, *scene.vertex_places)
+    def _by_layers(
+        self, view: View, parts: list[SortedPoints], materials: list[SurfaceMaterial]
+    ) -> list[list[LayeredPoints]]:
+        surface = self._surface_of(view)
+        frames = self.rotation.frames
+        return [by_layers(part, m, self.scene, *surface, frames) for part, m in zip(parts, materials, strict=True)]
 
-    def _surface_of(self, pixels: GBuffer) -> SurfacePoints:
-        occlusion = pixels.interpolated(self.scene, self.occlusion.cpu())
-        places = (pixels.region, pixels.triangle, pixels.barycentric)
-        return SurfacePoints(pixels.positions, pixels.frames, pixels.colours, occlusion, *places)
+    def _surface_of(self, view: View) -> tuple[SurfacePoints, Tensor]:
+        """The points that a view shows, and their occlusion (v,)."""
+        occlusion = self.occlusion.cpu()
+        if isinstance(view, GBuffer):
+            return SurfacePoints.of_pixels(view), view.interpolated(self.scene, occlusion)
+        return SurfacePoints.of_vertices(self.scene), occlusion
 
-    def _of_pixels(self, pixels: GBuffer) -> list[RegionPoints]:
-        return [part.to(self.cosine.device) for part in self._sorted(self._surface_of(pixels))]
-
-    def _sorted(self, surface: SurfacePoints) -> list[RegionPoints]:
-        """A surface's points (v,), region by region."""
+    def _sorted(self, view: View) -> list[SortedPoints]:
+        """The points of every region."""
+        surface, occlusion = self._surface_of(view)
         rows = [(surface.region == r).nonzero()[:, 0] for r in range(len(self.scene.regions))]
-        return [RegionPoints.of(some, surface, self.rotation.frames) for some in rows]
-
-    def _by_layers(self, part: RegionPoints, material: SurfaceMaterial, surface: SurfacePoints) -> list[LayeredPoints]:
-        """The points of a region, group by group of its material's layers."""
-        if isinstance(material, Material):
-            return [_whole(part, material)]
-        rows = part.rows[: part.count].cpu()
-        values = self.scene.map_values(material.maps, surface.triangle[rows], surface.barycentric[rows])
-        at = material.at(values, surface.colours[rows])
-        found = []
-        for number, layers in enumerate(material.groups):
-            some = (at.group == number).nonzero()[:, 0]
-            if len(some):
-                own = RegionPoints.of(rows[some], surface, self.rotation.frames).to(self.cosine.device)
-                some = torch.cat((some, some[-1:].expand(len(own.rows) - len(some))))  # as the rows are padded
-                shares, colour = (x.to(self.cosine.device) for x in (at.shares[:, some], at.colour[some]))
-                found.append(LayeredPoints(own, layers, shares, colour))
-        return found
+        return [SortedPoints.of(some, surface, occlusion, self.rotation.frames) for some in rows]
 
     @uncompiled
     def light_step(self, environment: Environment) -> LocalLight:
@@ -344,7 +269,7 @@ class EnvMapRelighter(Relighter):
             out = with_region(out, part.rows[: part.count], sent.diffuse, weights, reflected)
         return out
 
-    def _reflected(self, points: RegionPoints, sent: Reflected, eye: Tensor) -> Tensor:
+    def _reflected(self, points: SortedPoints, sent: Reflected, eye: Tensor) -> Tensor:
         """What a highlight reflects (v, 3)."""
         toward = eye if eye.ndim == 1 else eye[points.rows].T
         by_slices: Tensor = self._operations.reflected(
@@ -371,11 +296,6 @@ class EnvMapRelighter(Relighter):
         return make(shape.evaluate, self.rotation.m, self.views, kept, twists, is_mirror_symmetric(shape)).to(
             self.cosine.device
         )
-
-
-def _whole(part: RegionPoints, material: Material) -> LayeredPoints:
-    """Points of a material that is the same everywhere."""
-    return LayeredPoints(part, material.groups[0], None, part.colour)
 
 
 def with_region(

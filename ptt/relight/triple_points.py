@@ -9,34 +9,12 @@ import torch
 from torch import Tensor
 
 from ptt.imaging.atlas import Atlas
-from ptt.imaging.gbuffer import GBuffer
 from ptt.materials.varying import SurfaceMaterial
 from ptt.ops.near import Near
 from ptt.ops.shade import ShadedPoints
 from ptt.relight.shining_points import ShiningPoints
+from ptt.relight.surface_points import SurfacePoints
 from ptt.scene.scene import Scene
-
-
-class SurfacePoints(NamedTuple):
-    """Points of a mesh: positions (p, 3), frames (p, 3, 3), region (p,) int32, colour (p, 3); where on it: triangle
-    (p,), barycentric (p, 3)."""
-
-    positions: Tensor
-    frames: Tensor
-    region: Tensor
-    colour: Tensor
-    triangle: Tensor
-    barycentric: Tensor
-
-    @classmethod
-    def of_vertices(cls, scene: Scene) -> SurfacePoints:
-        """The vertices of a scene."""
-        return cls(scene.points, scene.frames, scene.vertex_region.int(), scene.colours, *scene.vertex_places)
-
-    @classmethod
-    def of_pixels(cls, view: GBuffer) -> SurfacePoints:
-        """The pixels of a G-buffer."""
-        return cls(view.positions, view.frames, view.region.int(), view.colours, view.triangle, view.barycentric)
 
 
 class PointLookups(NamedTuple):
@@ -94,7 +72,8 @@ def located(
 
 def coated(scene: Scene, surface: SurfacePoints, materials: Sequence[SurfaceMaterial]) -> CoatedPoints:
     """What points are coated with, by the materials of all regions."""
-    *_, region, colour, triangle, barycentric = (x.cpu() for x in surface)
+    here = SurfacePoints(*(x.cpu() for x in surface))
+    region, colour = here.region, here.colour
     most = max(len(group) for material in materials for group in material.groups)
     shares = torch.zeros(most, len(region), 3, dtype=torch.float32)
     groups = torch.zeros_like(region)
@@ -102,8 +81,7 @@ def coated(scene: Scene, surface: SurfacePoints, materials: Sequence[SurfaceMate
     first = 0
     for number, material in enumerate(materials):
         rows = (region == number).nonzero()[:, 0]
-        values = scene.map_values(material.maps, triangle[rows], barycentric[rows])
-        found = material.at(values, colour[rows])
+        found = here.layers_at(scene, material, rows)
         groups[rows] = first + found.group.int()
         shares[: len(found.shares), rows] = found.shares
         colours[rows] = found.colour

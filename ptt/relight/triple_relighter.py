@@ -35,7 +35,8 @@ from ptt.relight.operations import operations
 from ptt.relight.relighter import Relighter
 from ptt.relight.shape_tables import ShapeTables
 from ptt.relight.shining_points import LampLight, by_groups, shining
-from ptt.relight.triple_points import CoatedPoints, PointLookups, RelitPoints, SurfacePoints, coated, located
+from ptt.relight.surface_points import SurfacePoints
+from ptt.relight.triple_points import CoatedPoints, PointLookups, RelitPoints, coated, located
 from ptt.relight.triple_tables import (
     BITS_OF_TEXELS,
     BITS_OF_VERTICES,
