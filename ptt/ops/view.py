@@ -25,7 +25,7 @@ from ptt.ops import harmonics, lobes
 from ptt.ops.compiling import spans
 from ptt.ops.constants import TINY
 from ptt.ops.directions import toward
-from ptt.ops.octahedral import hemi_octahedral, octahedral, sampled, tiled_columns, tiled_rows
+from ptt.ops.octahedral import corners, hemi_octahedral, mix, octahedral, sampled, tiled_columns, tiled_rows
 from ptt.ops.relight import OutgoingLight
 from ptt.ops.transfer import lookup
 
@@ -158,6 +158,21 @@ def light_about(maps: Tensor, axes: Tensor) -> Tensor:
     n = math.isqrt(maps.shape[1])
     tables = maps[..., :3].unflatten(1, (n, n)).movedim(3, 1)  # shape: (k, 3, n, n)
     return sampled(tables, octahedral(axes).permute(1, 2, 0) * ((n - 2) / n)).permute(2, 0, 1)
+
+
+def blurred(maps: Tensor, axes: Tensor, level: Tensor) -> Tensor:
+    """E (n, k, 3) about axes (n, k, 3) at levels (n, k), linear between the maps (levels, cells, 4)."""
+    cells = maps.shape[1]
+    side = math.isqrt(cells)
+    below = level.detach().floor().clamp(0, len(maps) - 2)
+    index, weights = corners(octahedral(axes) * ((side - 2) / side), side, wrap=False)
+    index = index + cells * below.long()[..., None]
+    share = (level - below)[..., None]
+    flat = maps.flatten(0, 1)
+    both = torch.cat((index, index + cells), -1).flatten(0, 1)
+    mixed = torch.cat((weights * (1 - share), weights * share), -1).flatten(0, 1)
+    about: Tensor = mix(flat, both, mixed)[:, :3].reshape(axes.shape)
+    return about
 
 
 def _through(cuts: Tensor, axes: Tensor, which: Tensor) -> Tensor:

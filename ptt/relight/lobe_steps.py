@@ -27,10 +27,11 @@ from ptt.models.clustered_transfer import ClusteredTransfer
 from ptt.models.indirect import COARSE, COARSEST
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import haar
+from ptt.ops.around import Around
 from ptt.ops.cells import Gloss, in_parts
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.constants import RECORD, ROW, SENT, TILTS, TINY
-from ptt.ops.gloss import Around, GlossLight
+from ptt.ops.gloss import GlossLight
 from ptt.ops.relight import expand
 from ptt.ops.sphere import Cube
 from ptt.ops.view import SurfaceBlocks
@@ -140,7 +141,7 @@ class LobeSteps(nn.Module):
         return meets[0] if len(meets) == 1 else torch.cat(meets)
 
     def _records(self) -> Tensor:
-        """The points as others see them (v, RECORD) (`ops.gloss.Around`)."""
+        """The points as others see them (v, RECORD) (`ops.around.Around`)."""
         places = []
         first = 0
         for r, region in enumerate(self.model.clustered):
@@ -270,7 +271,7 @@ class LobeSteps(nn.Module):
     ) -> tuple[Tensor, Tensor, Tensor]:
         """What points in blocks send out diffusely (n, c), what others see of it and of what lies around them, of light
         that bounced once less, and of it where no light bounces (n, 3 c), and the mean of the surfaces that they see
-        (n, c) (`ops.gloss.Around`).
+        (n, c) (`ops.around.Around`).
 
         h (c, q), pairs (c, pairs): H of the slots that light them, and its products
         """

@@ -13,6 +13,7 @@ from torch.nn.functional import normalize
 
 from ptt.materials.shapes import GGX, Analytic, BlinnPhong, CookTorrance, Ward
 from ptt.ops import cells, gloss, hemispheres, transfer
+from ptt.ops.around import Around
 from ptt.ops.constants import BITS, LEVELS, MEETS, RECORD, ROW, SENT, TILTS
 from ptt.ops.octahedral import HemiOctahedral, Octahedral, bordered
 from ptt.ops.sphere import Cube
@@ -200,13 +201,13 @@ def test_lamps_are_seen_through_the_cells_that_they_lie_in() -> None:
     assert torch.allclose(gloss.lamp_visibility(visible, cells_of, shares), expected)
 
 
-def ceiling(sent: Tensor, table: Tensor, seen: Tensor) -> gloss.Around:
+def ceiling(sent: Tensor, table: Tensor, seen: Tensor) -> Around:
     """One point that looks down, and that 16 points see wherever the sky is hidden."""
     record = torch.zeros(1, RECORD)
     record[0, :9] = torch.tensor([1.0, 0, 0, 0, -1, 0, 0, 0, -1])
     sky = light_of(lambda d: torch.where(d[:, 2] < 0, 2.0, 0.0))  # from below
     tables = table.repeat(TILTS, 1)
-    return gloss.Around(
+    return Around(
         torch.zeros(3, 16),
         looks_down(),
         record,

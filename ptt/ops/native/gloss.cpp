@@ -1,4 +1,4 @@
-// Glossy reflection of ptt/ops/gloss.py in one pass over the points (float32, isotropic, three channels):
+// Glossy reflection of ptt/ops/gloss.py and around.py in one pass over the points (float32, isotropic, three channels):
 //
 //     B[v, c] = sum over n of  w_n[c](wo) (V_v(a_n, s_n) E[c](a_n, s_n) + (1 - V_v(a_n, s_n)) B[y_n, c])
 //             + sum over m of  f[c](d_m, wo) cos(d_m) V_vm P_m[c]
@@ -137,7 +137,7 @@ static inline void look(const Shine &g, int64_t v, Look &at) {
     for (int k = 0; k < g.lobes; ++k) find(g, at, to_map, k, at.lobes[k]);
 }
 
-// Light E about directions in the frame of the map, of the nearest of the widths (ptt.ops.gloss.blurred)
+// Light E about directions in the frame of the map, of the nearest of the widths (ptt.ops.view.blurred)
 static inline void light_at(const float *maps, int map, const Lanes *d, Ints level, Lanes *out) {
     const Place on = place_on_sphere(d, map);
     const Ints first = ((level * map + on.row) * map + on.column) * CHANNELS;
@@ -150,7 +150,7 @@ static inline void light_at(const float *maps, int map, const Lanes *d, Ints lev
 }
 
 // What comes of lamps in lobes about axes in the world, of points that are rows of `near_through`
-// (ptt.ops.gloss._as_one_lobe)
+// (ptt.ops.around._as_one_lobe)
 static inline void lamps_in(const Shine &g, const Lanes *axis, Ints level, Ints row, Lanes *e) {
     const Lanes about = 1.0f / ((Lanes)((126 + level) << 23) / g.sharpness + g.blur), peak = about * 0.159154943f;
     for (int64_t m = 0; m < g.near_sources; ++m) {
@@ -217,7 +217,7 @@ struct Met {
     Lanes normal[3], wo[3];
 };
 
-// The unit normal of cells, 0 where nothing is met (ptt.ops.gloss._normals).
+// The unit normal of cells, 0 where nothing is met (ptt.ops.around._normals).
 static inline void normal_of(const int32_t *meets, Ints pair, Ints second, Lanes *normal) {
     const Ints word = (Ints)gather((const float *)meets + 2, pair) >> 16 * second;
     const Ints i = word << 24 >> 24, j = word << 16 >> 24;
@@ -227,7 +227,7 @@ static inline void normal_of(const int32_t *meets, Ints pair, Ints second, Lanes
     normal[0] = x * scale, normal[1] = y * scale, normal[2] = z * scale;
 }
 
-// The same, bilinear between cells about (a, b) (ptt.ops.gloss._between_normals).
+// The same, bilinear between cells about (a, b) (ptt.ops.around._between_normals).
 static inline void between_normals(const int32_t *meets, Ints from, Lanes a, Lanes b, Lanes *normal) {
     const Place p = place(a, b, MEETS);
     Lanes corner[4][3], mean[3];
@@ -256,7 +256,7 @@ struct Records {
     Ints row, table;
 };
 
-// (ptt.ops.gloss._rows)
+// (ptt.ops.around._rows)
 static inline void records_of(const Shine &g, const Met &met, Records &of) {
     Lanes record[12];
     for (int i = 0; i < 12; i += 4) gather_four(g.records + i, met.point * RECORD, record + i);
@@ -266,7 +266,7 @@ static inline void records_of(const Shine &g, const Met &met, Records &of) {
     of.row = whole(record[9]), of.table = whole(tilt + 0.5f) + whole(record[10]);
 }
 
-// A lobe of a row of a table (ptt.ops.gloss._reflected).
+// A lobe of a row of a table (ptt.ops.around._reflected).
 static inline void part_of(const Shine &g, const Met &met, const Records &of, const float *tables, Ints at, Part &p) {
     Lanes t[8], flat[3], across[3], local[3], square = all(0), cosine = all(0);
     for (int i = 0; i < 8; i += 4) gather_four(tables + i, at, t + i);
@@ -319,7 +319,7 @@ struct Others {
     Part whole;
 };
 
-// Which points are met about axes, and which of them face away (ptt.ops.gloss._met).
+// Which points are met about axes, and which of them face away (ptt.ops.around._met).
 static inline void meet(const int32_t *meets, Ints at, const Lanes *axis, Ints wanted, Met &met) {
     met.point = (Ints)gather((const float *)meets, at);
     Lanes cosine = all(0);
@@ -349,7 +349,7 @@ static inline void face(const Shine &g, Others &o) {
     part_of(g, o.met, o.of, g.tables, o.of.table * ROW, o.whole);
 }
 
-// What points that a lobe of met points sees send to these (ptt.ops.gloss._as_parts).
+// What points that a lobe of met points sees send to these (ptt.ops.around._as_parts).
 static inline void beyond(const Shine &g, const Records &of, const Part &p, Lanes through, Ints wanted, Lanes *out) {
     for (int c = 0; c < 3; ++c) out[c] = all(0);
     wanted &= 1.0f - through > CLEAR;
@@ -383,7 +383,7 @@ struct Pairs {
     int point[LANES], count = 0;
 };
 
-// What pairs add to the sums of their points (ptt.ops.gloss._as_parts); leaves none.
+// What pairs add to the sums of their points (ptt.ops.around._as_parts); leaves none.
 static inline void take_parts(const Shine &g, int64_t v, Pairs &pairs, float (*sums)[LANES]) {
     Met met;
     Records of;
@@ -416,7 +416,7 @@ static inline void take_parts(const Shine &g, int64_t v, Pairs &pairs, float (*s
 }
 
 // What others send against the axis as one lobe, 0 where they face away, times the share that is hidden from the sky
-// (ptt.ops.gloss._from_points)
+// (ptt.ops.around.from_points)
 static inline void take_from(const Shine &g, int64_t v, const Others &o, Lanes *out) {
     for (int c = 0; c < 3; ++c) out[c] = all(0);
     if (any(o.met.there & (o.close < 1))) {

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from ptt.ops import gloss as plain
+from ptt.ops.around import BLUR, SHARPNESS, Around, alone, close
 from ptt.ops.cells import Gloss, Lobes
 from ptt.ops.compiling import inlined
 from ptt.ops.constants import (
@@ -25,7 +26,7 @@ from ptt.ops.constants import (
     SENT,
     TILTS,
 )
-from ptt.ops.gloss import Around, GlossLight
+from ptt.ops.gloss import GlossLight
 from ptt.ops.hemispheres import RISEN, Between, side_of
 from ptt.ops.native.arguments import contiguous, of_type, side, square
 from ptt.ops.native.hemispheres import of_hemispheres
@@ -214,10 +215,10 @@ def _kernel(*arguments: Any) -> Tensor:
         points=len(out),
         sources=len(g.lamps),
         near_sources=0 if g.near is None else len(g.near),
-        sharpness=plain.SHARPNESS,
-        blur=plain.BLUR,
-        alone=plain.alone(g.table.shape[1]),
-        close=plain.close(g.table.shape[1]),
+        sharpness=SHARPNESS,
+        blur=BLUR,
+        alone=alone(g.table.shape[1]),
+        close=close(g.table.shape[1]),
         rise=1 / RISEN,
         bits=side_of(g.seen),
         each=0 if g.rows is None else g.rows.shape[1],

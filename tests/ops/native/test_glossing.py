@@ -12,9 +12,10 @@ from torch import Tensor
 from ptt.materials.shapes import GGX, Analytic, Ward
 from ptt.ops import cells, native
 from ptt.ops import gloss as plain
+from ptt.ops.around import Around
 from ptt.ops.cells import Gloss, Lobes
 from ptt.ops.constants import BITS, LEVELS, MEETS, PARTS, RECORD, RINGS, ROW, SECTORS, SENT, TILTS
-from ptt.ops.gloss import Around, GlossLight
+from ptt.ops.gloss import GlossLight
 from ptt.ops.hemispheres import Between, words_of
 from ptt.ops.transfer import meets_packed
 from ptt.ops.view import SurfaceBlocks

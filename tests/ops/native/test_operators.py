@@ -16,10 +16,11 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from ptt.light.prefiltered import samples
 from ptt.materials.shapes import BlinnPhong
 from ptt.ops import haar, native, near, rotation, slices
+from ptt.ops.around import Around
 from ptt.ops.cells import Gloss, Lobes
 from ptt.ops.constants import BITS, LEVELS, MET, PARTS, RECORD, RINGS, ROW, SECTORS, SENT, TILTS
 from ptt.ops.geodesic import Geodesic
-from ptt.ops.gloss import Around, GlossLight
+from ptt.ops.gloss import GlossLight
 from ptt.ops.haar import Truncated
 from ptt.ops.hemispheres import Between, words_of
 from ptt.ops.native import building, kernels, operators
