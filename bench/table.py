@@ -35,10 +35,14 @@ class Table:
         self.rows.append({column: row.get(column, "") for column in COLUMNS})
         print(f"{what}: {value:.4g} {unit} {f'(goal {goal})' if goal else ''}", flush=True)
 
-    def replace(self, name: str, names: Iterable[str]) -> None:
-        """Write these rows, whose names begin with "name, "; those that begin with other names stay as they are."""
+    def replace(self, name: str, names: Iterable[str] = ()) -> None:
+        """Write these rows, whose names begin with "name, "; those that begin with other names stay as they are.
+
+        names: all there are, in their order, others are dropped; default: those of the file, then this one.
+        """
         old = list(csv.DictReader(self.path.open())) if self.path.exists() else []
-        parts = {other: [row for row in old if row["what"].startswith(f"{other}, ")] for other in names}
+        known = tuple(names) or (*(row["what"].split(", ")[0] for row in old), name)
+        parts = {other: [row for row in old if row["what"].startswith(f"{other}, ")] for other in known}
         self.rows = [row for rows in (parts | {name: self.rows}).values() for row in rows]
         self.write()
 

@@ -1,6 +1,8 @@
 """Textured glTF assets beside Mitsuba 3 by direct light, along the same rays; rows of bench/results/textured.csv.
 
-    PTT_DATA=... python -m bench.textured [--quick] [FOLDER ...]      # default: gltf in PTT_DATA
+    PTT_DATA=... python -m bench.textured [--quick] [FOLDER ...]
+
+Of the assets in the folders, default: gltf in PTT_DATA; the rows of others stay.
 
 Mitsuba has glTF's metallic-roughness as a BSDF of its own here, written from the specification (appendix B) in Python
 alone, with the textures as its bitmaps and its own `normalmap`; its `principled` has another matt part and other
@@ -34,7 +36,7 @@ RAYS, SAMPLES = 400, 128
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Textured glTF assets beside Mitsuba 3.")
-    parser.add_argument("folders", nargs="*", type=Path, help="of .glb files; default: gltf in PTT_DATA")
+    parser.add_argument("folders", nargs="*", type=Path, help="of .glb and .gltf files; default: gltf in PTT_DATA")
     parser.add_argument("--quick", action="store_true", help="the first asset, few samples, nothing written")
     options = parser.parse_args()
     if "PTT_DATA" not in os.environ:
@@ -43,12 +45,12 @@ def main() -> None:
     light = ptt.Environment.load(data / "hdri" / "uffizi.hdr")
     mi.set_variant("scalar_rgb")
     mi.register_bsdf("gltf", _bsdf_class())
-    table = Table("textured")
-    found = [path for folder in options.folders or [data / "gltf"] for path in sorted(folder.glob("*.glb"))]
+    found = [path for folder in options.folders or [data / "gltf"] for path in sorted(folder.glob("*.gl[bt]*"))]
     for path in found[: 1 if options.quick else None]:
+        table = Table("textured")
         _rows(table, path.stem, ptt.load_scene(path), light, *((60, 16) if options.quick else (RAYS, SAMPLES)))
-    if not options.quick:
-        table.write()
+        if not options.quick:
+            table.replace(f"asset {path.stem}")
 
 
 def _rows(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, rays: int, samples: int) -> None:
@@ -60,7 +62,7 @@ def _rows(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, ray
     rows = directions.reshape(-1, 3)[pixels.pixel[some]]
     origins = eye.expand_as(rows)
     theirs = mitsuba_radiance(mitsuba_of(scene, light), origins, rows, bounces=0, samples=samples)
-    ours = reference.along_rays(scene, light, scene.materials, origins, rows, samples=16 * samples)
+    ours = reference.along_rays(scene, light, scene.materials, origins, rows, samples=256 * samples)
     found = scores(ours, theirs)
     noise = [float((e.standard_error.square().mean() / e.mean.square().mean()).sqrt()) for e in (theirs, ours)]
     aside = f"noise of Mitsuba {noise[0]:.3f}, of the reference {noise[1]:.3f}"

@@ -145,12 +145,18 @@ class MetalRough:
         metallic, roughness = maps
         return replace(self, metallic_map=metallic, roughness_map=roughness)
 
+    @property
+    def diffuse(self) -> Tensor:
+        """The albedo (3,) of what is dull of it, over a white base colour, by the mean of its metallic map."""
+        metallic = 1.0 if self.metallic_map is None else float(_texels(self.metallic_map).mean())
+        return self._surface(self.base.new_tensor([[metallic], [1.0]]), torch.ones(1, 3))[2][0]
+
     @cached_property
     def knots(self) -> tuple[float, ...]:
         """The roughnesses of the layers: those of `KNOTS` around the texture's, or the only one."""
         if self.roughness_map is None:
             return (max(self.roughness, SMOOTHEST),)
-        texels = self.roughness_map.pixels if isinstance(self.roughness_map, Texture) else self.roughness_map
+        texels = _texels(self.roughness_map)
         low, high = (min(max(self.roughness * float(x), SMOOTHEST), 1.0) for x in (texels.min(), texels.max()))
         first = max(knot for knot in KNOTS if knot <= low)
         last = min(knot for knot in KNOTS if knot >= high)
@@ -202,8 +208,12 @@ SurfaceMaterial = Material | Varying
 """What a region may be made of."""
 
 
+def _texels(given: Map) -> Tensor:
+    return given.pixels if isinstance(given, Texture) else given
+
+
 def _check_map(name: str, given: Map) -> None:
-    texels = given.pixels if isinstance(given, Texture) else given
+    texels = _texels(given)
     if not isinstance(texels, Tensor) or (isinstance(given, Texture) and texels.shape[2] != 1):
         raise ValueError(f"{name} must be a ptt.Texture of one channel, or a tensor (h, w) or (v,), got {given!r}")
     if not isinstance(given, Texture) and (texels.ndim not in (1, 2) or not texels.numel()):

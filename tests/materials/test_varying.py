@@ -89,6 +89,13 @@ def test_shares_sum_to_one() -> None:
     torch.testing.assert_close(shares[1] + shares[2], torch.ones(200, 3).double())
 
 
+def test_what_is_dull_of_a_metal_is_its_mean() -> None:
+    """By the specification of glTF, appendix B: base (1 - metallic) (1 - 0.04), of a map that is half metal."""
+    half = ptt.MetalRough((0.8, 0.2, 0.1), metallic_map=torch.tensor([0.0, 1.0]))
+    torch.testing.assert_close(half.diffuse, torch.tensor([0.384, 0.096, 0.048]))
+    assert not ptt.MetalRough(0.8).diffuse.any()
+
+
 def test_mixed_is_linear() -> None:
     wi, wo = directions(200)
     first, second = ptt.ggx(0.2, f0=(0.9, 0.5, 0.1), roughness=0.3), ptt.blinn_phong(0.6, 0.2, 9.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import multiprocessing
 import pickle
 import sys
 import threading
@@ -54,6 +55,25 @@ def test_scenes_and_models_are_copied_at_any_moment(small_scene: ptt.Scene, smal
         assert again.surface.occluded(EYE[None], -EYE[None]).shape == (1,)
     for other in (copy.deepcopy(relighter), pickle.loads(pickle.dumps(relighter))):
         torch.testing.assert_close(other(light, {}, EYE), expected)
+
+
+def test_a_forked_process_answers(small_model: ptt.TransferModel) -> None:
+    """Where threads of OpenMP worked before the fork, which are not there after it."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    relighter = ptt.TransferRelighter(small_model)
+    light = ptt.Environment(torch.rand(128, 256, 3))
+    expected = relighter(light, {}, EYE)
+    context = multiprocessing.get_context("fork")
+    answers = context.SimpleQueue()
+    child = context.Process(target=lambda: answers.put(relighter(light.rotated(y=0), {}, EYE).numpy()))
+    child.start()
+    child.join(60)
+    torch.set_num_threads(threads)
+    if child.is_alive():
+        child.kill()
+        pytest.fail("the forked process hangs")
+    torch.testing.assert_close(torch.from_numpy(answers.get()), expected)
 
 
 def test_a_map_that_is_written_to_is_read_anew(small_model: ptt.TransferModel) -> None:
