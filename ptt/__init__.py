@@ -33,6 +33,7 @@ from ptt.relight.triple_relighter import TripleProductRelighter
 from ptt.scene.bumps import BumpMap
 from ptt.scene.camera import Camera
 from ptt.scene.default import default_scene
+from ptt.scene.former import former_names
 from ptt.scene.gaps import finer_in_gaps
 from ptt.scene.hidden import without_hidden
 from ptt.scene.mitsuba_scenes import from_mitsuba
@@ -45,6 +46,8 @@ from ptt.transfer.occlusion import ambient_occlusion
 from ptt.transfer.raw import RawTransfer, precompute
 
 __version__ = "0.1.0"
+
+former_names()
 
 __all__ = [
     "GGX",
