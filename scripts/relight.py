@@ -26,7 +26,8 @@ from torch import Tensor
 
 from ptt.cli import Layout, chosen_light, chosen_scene, chosen_space, configure, kept_model, run
 
-JUDGED = 1000  # vertices, at most
+JUDGED = 200  # vertices, at most, each by PATHS light paths for every one of a pixel: noise stays below the error
+PATHS = 512
 
 
 @dataclass
@@ -62,7 +63,7 @@ class Config:
     coefficients: int = 96
     """Haar coefficients kept for each vertex and incident factor, where the scene is compressed here."""
     samples: int = 16
-    """Light paths of the reference for each pixel, 64 times as many for each judged vertex; 0 leaves it out."""
+    """Light paths of the reference for each pixel, 512 times as many for each judged vertex; 0 leaves it out."""
     exposure: float | None = None
     """Stops that brighten the PNGs; default: those that bring the brightest twentieth of "before" to white."""
     width: int = 480
@@ -162,7 +163,7 @@ def judge(
     judged = facing[torch.randperm(len(facing), generator=torch.Generator().manual_seed(0))[:JUDGED]]
     points = ptt.reference.vertex_points(scene).take(judged)
     wo = view.toward(points.position)
-    truth = ptt.reference.radiance(*every, points, wo, bounces=bounces, samples=64 * samples)
+    truth = ptt.reference.radiance(*every, points, wo, bounces=bounces, samples=PATHS * samples)
     image = ptt.reference.image(*every, view, bounces=bounces, samples=samples).mean.float()
     difference = 4 * (picture.pixels - image).abs()
     noise = float(truth.standard_error.norm() / truth.mean.norm())

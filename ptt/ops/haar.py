@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import avg_pool2d
 
 RUN = 32  # numbers in a row that are asked for their largest first: a trial of 16, 32 and 64 on T0
 
@@ -42,6 +43,14 @@ def analyse(values: Tensor) -> Tensor:
         n = h
     out[..., :1, :1] = values
     return out
+
+
+def analyse_coarsely(values: Tensor, side: int) -> Tensor:
+    """The coarsest coefficients (..., side, side) of values (..., n, n), `analyse(values)[..., :side, :side]`, from the
+    sums of blocks alone."""
+    k = _side(values) // side
+    blocks = avg_pool2d(values.flatten(0, -3)[:, None], k, divisor_override=k)
+    return analyse(blocks.reshape(*values.shape[:-2], side, side))
 
 
 def synthesise(coefficients: Tensor) -> Tensor:

@@ -179,9 +179,11 @@ def direct_light(
     left = 0.0
     with tqdm(total=len(raw.receivers), desc="direct light", unit=" points", disable=not progress) as bar:
         for t0 in _blocks(raw, grid, factors):
-            shown = t0[:, :kept].flatten(1)
+            fine = haar.analyse(t0[:, :kept])
+            shown = fine.flatten(1)
             largest = haar.truncate(shown, keep * kept, weights)
-            parts.append((*largest, t0.unflatten(2, grid.shape)[..., :coarse, :coarse].flatten(2)))
+            others = haar.analyse_coarsely(t0[:, kept:], coarse)
+            parts.append((*largest, torch.cat((fine[..., :coarse, :coarse], others), 1).flatten(2)))
             whole += float(shown.norm()) ** 2
             left += float(shown.scatter(1, largest.indices.long(), 0.0).norm()) ** 2
             bar.update(len(t0))
@@ -200,7 +202,7 @@ def natural(grid: Cube, means: float = 1.0) -> Tensor:
 
 
 def _blocks(raw: RawTransfer, grid: Cube, factors: Tensor) -> Iterator[Tensor]:
-    """T0 (v, i, l) in the Haar basis, some receivers at a time; the diffuse factor first."""
+    """T0 (v, i, 6, n, n) in the texel basis, some receivers at a time; the diffuse factor first."""
     directions = grid.directions().reshape(-1, 3).float()
     solid_angles = grid.solid_angles().reshape(-1).float()
     block = max(1, int(T0_BYTES_AT_ONCE / (4 * (1 + len(factors)) * grid.cells)))
@@ -208,7 +210,7 @@ def _blocks(raw: RawTransfer, grid: Cube, factors: Tensor) -> Iterator[Tensor]:
         rows = slice(first, first + block)
         visible = transfer.unpack(raw.visible[rows], grid.cells)
         t0 = transfer.direct_transfer(visible, raw.receivers.frames[rows], directions, solid_angles, factors)
-        yield haar.analyse(t0.unflatten(2, grid.shape)).flatten(2)
+        yield t0.unflatten(2, grid.shape)
 
 
 def _seen(raw: RawTransfer, progress: bool) -> Tensor:

@@ -31,6 +31,13 @@ def test_analysis_is_the_matrix_of_the_basis_functions() -> None:
     assert torch.allclose(haar.analyse(x).flatten(), basis @ x.flatten(), atol=1e-13)
 
 
+@pytest.mark.parametrize("side", [1, 4, 16])
+def test_the_coarsest_coefficients_alone(side: int) -> None:
+    x = random(2, 3, 16, 16)
+    assert torch.allclose(haar.analyse_coarsely(x, side), haar.analyse(x)[..., :side, :side], atol=1e-13)
+    assert haar.analyse_coarsely(x[:, :0], side).shape == (2, 0, side, side)
+
+
 def test_coefficients_stand_where_the_docstring_says() -> None:
     """A constant 3 on 4 x 4 has the coefficient 3 * 4; left - right = 2 on 4 x 4 is a horizontal detail of 4."""
     constant = haar.analyse(torch.full((4, 4), 3.0))
