@@ -12,6 +12,12 @@ GRAZING = 0.34  # cosine of 70 degrees
 NEGATIVE = -1e-3  # of the mean
 
 
+def excess(radiance: Tensor, truth: ptt.reference.Estimate) -> float:
+    """Relative RMSE of radiance (v, 3), the noise of what it is compared with taken out."""
+    square = (radiance - truth.mean).square().mean() - truth.standard_error.square().mean()
+    return float(square.clamp(min=0).sqrt() / truth.mean.square().mean().sqrt())
+
+
 class Seen:
     """Some vertices of a scene's first region that face its eye."""
 
@@ -47,11 +53,10 @@ class Seen:
     def errors(self, table: Table, what: str, radiance: Tensor, truth: ptt.reference.Estimate, goal: str) -> None:
         """Rows of one picture: steep and grazing views."""
         for name, rows, bound in (("steep", self.steep, goal), ("grazing", ~self.steep, goal and "<= 0.1")):
-            size = truth.mean[rows].square().mean().sqrt()
-            noise = truth.standard_error[rows].square().mean()
-            excess = (radiance[self.rows][rows] - truth.mean[rows]).square().mean() - noise
-            how = f"{int(rows.sum())} vertices, noise of the reference {float(noise.sqrt() / size):.3f}, taken out"
-            table.row(f"{what}, {name}", float(excess.clamp(min=0).sqrt() / size), "relative RMSE", how, bound)
+            own = ptt.reference.Estimate(truth.mean[rows], truth.standard_error[rows])
+            noise = float(own.standard_error.norm() / own.mean.norm())
+            how = f"{int(rows.sum())} vertices, noise of the reference {noise:.3f}, taken out"
+            table.row(f"{what}, {name}", excess(radiance[self.rows][rows], own), "relative RMSE", how, bound)
 
     def negative(self, table: Table, what: str, radiance: Tensor, goal: str) -> None:
         """The share of vertices of the whole object with a negative value."""

@@ -26,7 +26,7 @@ from torch import Tensor
 
 from ptt.cli import Layout, chosen_light, chosen_scene, chosen_space, configure, kept_model, run
 
-JUDGED = 200  # vertices, at most, each by PATHS light paths for every one of a pixel: noise stays below the error
+JUDGED = 128  # vertices, at most, each by PATHS light paths for every one of a pixel: noise stays below the error
 PATHS = 512
 
 
