@@ -142,7 +142,7 @@ def figure_6(table: Table, light: ptt.Environment, pixels: int, samples: int, pi
             mirrored = sphere.mirrored(fit, light)
             for k, (name, truth) in enumerate(zip(MATERIALS, truths, strict=True)):
                 relit = sphere.relit(fit, space.material(name), incident, mirrored)
-                noise = float(truth.standard_error.norm() / truth.mean.norm())
+                noise = truth.noise
                 shape = space.material(name).shape
                 how = f"{shape}, uffizi, {pixels} x {pixels} pixels; noise of the reference {noise:.4f}"
                 what = f"figure 6, {name}, {count} lobes, {ranks[1]} factors"

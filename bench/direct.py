@@ -119,7 +119,7 @@ def bunny(table: Table, data: Path, vertices: int, samples: int) -> None:
         )
         wo = scene.camera.toward(points.position)
         truth = ptt.reference.radiance(scene, light, materials[kind], points, wo, samples=samples)
-        noise = float(truth.standard_error.norm() / truth.mean.norm())
+        noise = truth.noise
         error = ptt.relative_rmse(radiance[None][kind], truth.mean)
         what = f"bunny, {kind}"
         note = f"{how}; {samples} samples, the reference's own noise is {noise:.4f} and is contained in the value"

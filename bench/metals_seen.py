@@ -54,8 +54,7 @@ class Seen:
         """Rows of one picture: steep and grazing views."""
         for name, rows, bound in (("steep", self.steep, goal), ("grazing", ~self.steep, goal and "<= 0.1")):
             own = ptt.reference.Estimate(truth.mean[rows], truth.standard_error[rows])
-            noise = float(own.standard_error.norm() / own.mean.norm())
-            how = f"{int(rows.sum())} vertices, noise of the reference {noise:.3f}, taken out"
+            how = f"{int(rows.sum())} vertices, noise of the reference {own.noise:.3f}, taken out"
             table.row(f"{what}, {name}", excess(radiance[self.rows][rows], own), "relative RMSE", how, bound)
 
     def negative(self, table: Table, what: str, radiance: Tensor, goal: str) -> None:

@@ -56,7 +56,7 @@ class Body:
             wo = scene.camera.toward(points.position)
             estimate = reference.unshadowed(scene, light, given, points, wo, samples=samples)
             body.truth[material] = estimate.mean
-            body.noise[material] = float(estimate.standard_error.norm() / estimate.mean.norm())
+            body.noise[material] = estimate.noise
         return body
 
     def dressed(self, material: str) -> dict[str, ptt.Material]:

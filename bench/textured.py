@@ -66,15 +66,15 @@ def _rows(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, ray
     theirs = mitsuba_radiance(target, origins, rows, bounces=0, samples=4 * samples)
     ours = reference.along_rays(scene, light, scene.materials, origins, rows, samples=256 * samples)
     found = scores(ours, theirs)
-    noise = [float(estimate.standard_error.norm() / estimate.mean.norm()) for estimate in (theirs, ours)]
-    aside = f"noise of Mitsuba {noise[0]:.3f}, of the reference {noise[1]:.3f}"
+    aside = f"noise of Mitsuba {theirs.noise:.3f}, of the reference {ours.noise:.3f}"
     how = f"{rays} pixels, {4 * samples} samples of Mitsuba; {aside}; {setting()}"
     what = f"asset {name}, reference against Mitsuba"
     table.row(f"{what}: mean difference over its standard error", found["bias_z"], "", how, "<= 3")
     table.row(f"{what}: relative difference of the means", found["bias"], "", how)
     table.row(f"{what}: share within three standard errors", found["within_3"], "", how)
     relighter = ptt.TripleProductRelighter(scene, 2, atlas=ptt.Atlas.of(scene, 1024))
-    relit = relighter(light, {}, pixels)[some].double()
+    whole = relighter(light, {}, pixels)
+    relit = whole[some].double()
     aside = f"320 triangles, visibility in 1024 x 1024 texels; {how}"
     table.row(f"asset {name}, triple products", ptt.relative_rmse(relit, ours.mean), "relative RMSE", aside, "<= 0.05")
     to_mitsuba = excess(relit, theirs)
@@ -86,7 +86,7 @@ def _rows(table: Table, name: str, scene: ptt.Scene, light: ptt.Environment, ray
         directions = directions.reshape(-1, 3)[pixels.pixel]
         seen = mitsuba_radiance(target, eye.expand_as(directions), directions, bounces=0, samples=SAMPLES // 4)
         path = IMAGES / f"textured_{name}.png"
-        _picture(path, scene, pixels, light, seen.mean.float(), relighter(light, {}, pixels))
+        _picture(path, scene, pixels, light, seen.mean.float(), whole)
 
 
 def _picture(

@@ -270,7 +270,7 @@ def coefficients(
             factor = triple_pictures.local_brdf(material, grid, torch.einsum("vax,vx->va", frames, toward))
             given = {region.name: material for region in scene.regions}
             truth = reference.radiance(scene, light, given, points, toward, samples=samples)
-            noise = float(truth.standard_error.norm() / truth.mean.norm())
+            noise = truth.noise
             three = [geodesic.analyse(x) for x in (local_light, visible[:, None].expand(-1, 3, -1), factor)]
             for level in range(finest + 1):
                 keep = 20 << 2 * level

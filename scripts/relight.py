@@ -166,7 +166,7 @@ def judge(
     truth = ptt.reference.radiance(*every, points, wo, bounces=bounces, samples=PATHS * samples)
     image = ptt.reference.image(*every, view, bounces=bounces, samples=samples).mean.float()
     difference = 4 * (picture.pixels - image).abs()
-    noise = float(truth.standard_error.norm() / truth.mean.norm())
+    noise = truth.noise
     error = ptt.relative_rmse(radiance[judged], truth.mean)
     return torch.cat((picture.pixels, image, difference)), {"relative_rmse": error, "noise": noise}
 

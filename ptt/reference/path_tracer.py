@@ -34,6 +34,11 @@ class Estimate(NamedTuple):
     mean: Tensor
     standard_error: Tensor
 
+    @property
+    def noise(self) -> float:
+        """The root mean square of the standard error over that of the radiance."""
+        return float(self.standard_error.norm() / self.mean.norm())
+
 
 class PathVertices(NamedTuple):
     """Vertices of n paths.
