@@ -73,13 +73,14 @@ def speed(
         for compiled in (False, True):
             relighter = ptt.TransferRelighter(model, compiled=compiled)
             form = "compiled" if compiled else "eager"
-            read = bytes_read(model, relighter, light, dressed(scene, material))
+            tensor = model.highlights == "tensor"
+            read = bytes_read(model, relighter, light, dressed(scene, material)) if tensor else {}
             frames = steps(relighter, scene, light, material)
             for (step, frame), said in zip(frames.items(), paper[1], strict=True):
                 frame()
                 seconds = median_seconds(frame, 40)
-                goal = f">= {GOALS[step]}" if name == "engine" and key != "own" and compiled else ""
-                limit = f"{bandwidth / read[step]:.0f} frames/s to read {read[step] / 1e6:.3g} MB"
+                goal = f">= {GOALS[step]}" if name == "engine" and key.startswith("paper") and compiled else ""
+                limit = f"{bandwidth / read[step]:.0f} frames/s to read {read[step] / 1e6:.3g} MB" if tensor else ""
                 note = f"{len(scene.vertices)} vertices, {key} settings, lobes included, {material.shape}; {how}"
                 table.row(
                     f"{name}, {key}, {form}, {step}", 1 / seconds, "frames/s", note, goal,

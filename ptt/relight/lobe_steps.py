@@ -41,6 +41,10 @@ from ptt.relight.light_step import LightStep, SplitLight
 from ptt.relight.operations import operations
 
 OPEN = 0.02  # of the hemisphere: what a point sees of surfaces counts as at least as much where their mean is taken
+BROAD = 24.0
+"""Degrees about the mirror direction within which half of a highlight lies, GGX of roughness 0.46, from which what it
+sees of surfaces reflects as one lobe: in a trial with gold of roughness 0.5 on an engine and a dragon, a few lobes
+erred by 16.1 and 7.6 %, one by 16.2 and 7.3, in half the time; at 0.3, 19.9 and 25.9 on the engine."""
 
 
 class ArrivingIrradiance(NamedTuple):
@@ -301,7 +305,10 @@ class LobeSteps(nn.Module):
         at = eye if eye.ndim == 1 else own.in_line(eye[self.own[r]])
         out = region.dull
         for gloss, light, share in region.layers:
-            out = out + self._operations.shine(region.surface, at, own.seen, gloss, light, region.around, share)
+            around = region.around
+            if around is not None and gloss.spread > BROAD:
+                around = around._replace(others=None)
+            out = out + self._operations.shine(region.surface, at, own.seen, gloss, light, around, share)
         return out
 
 

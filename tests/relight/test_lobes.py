@@ -166,6 +166,20 @@ def test_metals_see_what_lies_around(
     assert error_of_gold(scene, bounced, sky, roughness) < 0.1
 
 
+@pytest.mark.parametrize(("roughness", "reads"), [(0.3, True), (0.6, False)])
+def test_what_a_broad_highlight_sees_reflects_as_one_lobe(
+    scene: ptt.Scene, bounced: ptt.TransferModel, sky: ptt.Environment, roughness: float, reads: bool
+) -> None:
+    """The few lobes of what it sees are not read: nothing changes where they are not numbers."""
+    steps = ptt.TransferRelighter(bounced, compiled=False).steps
+    gold = scene.materials | {"ball": ptt.ggx(0.0, 1.0, GOLD, roughness)}
+    region, *_ = steps.exitant(steps.incident(sky), list(gold.values()))
+    nothing = torch.full_like(region.around.parts, torch.nan)
+    unread = region._replace(around=region.around._replace(parts=nothing))
+    right, got = (steps.radiance([each], EYE) for each in (region, unread))
+    assert torch.equal(right, got) is not reads
+
+
 def test_light_that_bounced_is_the_same_by_kernels_and_from_a_file(
     bounced: ptt.TransferModel, sky: ptt.Environment, tmp_path: Path
 ) -> None:
