@@ -37,6 +37,7 @@ from bench.rotation_errors import (
 )
 from bench.table import Table, median_seconds, read_bandwidth, setting
 from ptt.ops import mesh, native, slices
+from ptt.ops.directions import toward
 
 PAPER = {  # table 2: seconds, MB, non-zeros a row, light changes a second
     16: ("2", "11.8", "46.2", "23"),
@@ -200,7 +201,7 @@ def forms(table: Table, scene: ptt.Scene, light: ptt.Environment, n: int) -> Non
     def whole(
         local: Tensor, cut: slices.Slices, first: Tensor, frames: Tensor, at: slices.NormalLookup, eye: Tensor
     ) -> Tensor:
-        which = first + slices._view_cell(cut.views, frames, at, eye)
+        which = first + slices._view_cell(cut.views, frames, at, toward(eye, at.position, 0))
         values = cut.values[which].float() * at.weights[..., None]
         return (values[..., None] * local[at.near[..., None].long(), cut.terms[which].long()]).sum((0, 2))
 

@@ -13,6 +13,7 @@ from torch import Tensor
 from ptt.io.saved import Shapes
 from ptt.materials.material import LayersAt, Material
 from ptt.materials.varying import Map, SurfaceMaterial, Varying, from_config, looked_up, same, to_config
+from ptt.ops.mesh import SEEN
 from ptt.scene.scene import Scene
 
 
@@ -23,6 +24,7 @@ class Receivers:
     positions (v, 3): `Scene.points`
     frames (v, 3, 3): rows tangent, bitangent, normal; local = frames @ world
     colours (v, 3): linear base colour
+    dips (v,): `Scene.dips`
     counts: number of points in each region, in the order of the names
     names, editable: those of the regions
     materials: default material of each region (`SurfaceMaterial`), by name; maps are values of the points, as `maps`
@@ -34,6 +36,7 @@ class Receivers:
     positions: Tensor
     frames: Tensor
     colours: Tensor
+    dips: Tensor
     counts: tuple[int, ...]
     names: tuple[str, ...]
     editable: tuple[bool, ...]
@@ -61,6 +64,7 @@ class Receivers:
             positions=scene.points[at],
             frames=scene.frames[at],
             colours=scene.colours[at],
+            dips=scene.dips[at],
             counts=tuple(counts.tolist()),
             names=tuple(region.name for region in scene.regions),
             editable=tuple(region.editable for region in scene.regions),
@@ -80,6 +84,7 @@ class Receivers:
             positions=self.positions[rows],
             frames=self.frames[rows],
             colours=self.colours[rows],
+            dips=self.dips[rows],
             counts=counts,
             materials=_with_maps(self.materials, maps, counts),
             maps=maps,
@@ -128,7 +133,7 @@ class Receivers:
 
     def tensors(self) -> dict[str, Tensor]:
         """The tensors that are saved beside `config()`."""
-        tensors = {"positions": self.positions, "frames": self.frames, "colours": self.colours}
+        tensors = {"positions": self.positions, "frames": self.frames, "colours": self.colours, "dips": self.dips}
         optional = {"maps": self.maps if len(self.maps) else None, "uv": self.uv, "glow": self.glow}
         return tensors | {name: tensor for name, tensor in optional.items() if tensor is not None}
 
@@ -139,17 +144,20 @@ class Receivers:
         for name, count, editable in regions:
             material = to_config(self.materials[name])
             described.append({"name": name, "points": count, "editable": editable, "material": material})
-        return {"regions": described, "maps": len(self.maps), "uv": self.uv is not None, "glow": self.glow is not None}
+        optional = {"uv": self.uv is not None, "glow": self.glow is not None}
+        return {"regions": described, "maps": len(self.maps), "dips": True} | optional
 
     @classmethod
     def restore(cls, config: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> Receivers:
         """The receivers of a config and tensors: the inverse of `config` and `tensors`."""
         regions = config["regions"]
-        maps = tensors.get("maps", tensors["positions"].new_zeros(0, len(tensors["positions"])))
+        positions = tensors["positions"]
+        maps = tensors.get("maps", positions.new_zeros(0, len(positions)))
         return cls(
-            positions=tensors["positions"],
+            positions=positions,
             frames=tensors["frames"],
             colours=tensors["colours"],
+            dips=tensors.get("dips", positions.new_full((len(positions),), SEEN)),  # those of older files are missing
             counts=tuple(r["points"] for r in regions),
             names=tuple(r["name"] for r in regions),
             editable=tuple(r["editable"] for r in regions),
@@ -165,7 +173,7 @@ class Receivers:
     def expected(config: Mapping[str, Any]) -> Shapes:
         """Types and shapes of the tensors that belong to a config."""
         v = sum(region["points"] for region in config["regions"])
-        optional = {"maps": (config.get("maps"), v), "uv": (v, 2), "glow": (v, 3)}
+        optional = {"maps": (config.get("maps"), v), "dips": (v,), "uv": (v, 2), "glow": (v, 3)}
         return {
             "positions": (torch.float32, (v, 3)),
             "frames": (torch.float32, (v, 3, 3)),

@@ -81,7 +81,7 @@ class TransferModel(nn.Module):
     receivers: names, counts and default materials of the regions
     brdf, basis: how points reflect, and how light is reflected on its way; basis is None without clusters
     regions: a `ClusteredTransfer` each, or none: then kept, columns, values are the `SparseTransfer` of all points
-    positions (v, 3), frames (v, 3, 3), colours (v, 3): of the receivers
+    positions (v, 3), frames (v, 3, 3), colours (v, 3), dips (v,): of the receivers
     resolution: cells along an edge of the cube map
     bounces: that are shown: 0 for direct light, 1 or 2
     truncation_error: relative L2 error of T0 that leaving out the other coefficients makes
@@ -94,6 +94,7 @@ class TransferModel(nn.Module):
     positions: Tensor
     frames: Tensor
     colours: Tensor
+    dips: Tensor
 
     def __repr__(self) -> str:
         """A few lines: what it is of, and what it shows."""

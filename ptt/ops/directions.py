@@ -62,3 +62,12 @@ def triangle_solid_angles(p: Tensor, q: Tensor, r: Tensor, volume: Tensor | None
     lp, lq, lr = (corner.norm(dim=-1) for corner in (p, q, r))
     pq, qr, rp = ((a * b).sum(-1) for a, b in ((p, q), (q, r), (r, p)))
     return 2 * torch.atan2(volume, lp * lq * lr + pq * lr + qr * lp + rp * lq)
+
+
+def faces_eye(dip: Tensor, height: Tensor, eye: Tensor) -> Tensor:
+    """Whether an eye (3,) sees the front of a triangle of points (n,), by `mesh.dips` and its heights above their
+    horizons (n,), the cosines to the normals; points of which directions (3, n) to a viewer are given are all seen.
+
+    Surfaces are one-sided: a picture shows nothing of the other points, a third to a half of a mesh.
+    """
+    return height > -dip if eye.ndim == 1 else torch.ones_like(height, dtype=torch.bool)

@@ -25,6 +25,7 @@ from torch import Tensor
 from ptt.ops.around import Around, alone, close, from_points
 from ptt.ops.cells import Gloss, frames, octaves
 from ptt.ops.constants import SECTORS, SHARPEST, TILTS, TINY
+from ptt.ops.directions import faces_eye
 from ptt.ops.hemispheres import Between, visible, visible_between
 from ptt.ops.octahedral import mix
 from ptt.ops.view import SurfaceBlocks, blurred, local_directions
@@ -86,6 +87,7 @@ def shine(
     between: where points lie between places, which `seen` is of then; None where it is their own
     """
     wo = local_directions(points.position, points.frame, eye).T
+    seen_at_all = faces_eye(points.dip, wo[:, 2], eye)
     frame = points.frame.movedim(2, 0)  # shape: (n, 3, 3)
     parts = []
     for first in range(0, len(wo), AT_ONCE):
@@ -94,7 +96,7 @@ def shine(
         lit = light._replace(through=light.through[:, some])
         sky = _sky(seen, frame, some, between)
         parts.append(_shine(gloss, lit, frame[some], sky, wo[some], near))
-    out = torch.cat(parts)
+    out = torch.cat(parts) * seen_at_all[:, None]
     return (out if share is None else out * share.T).index_select(0, points.place)
 
 
@@ -149,6 +151,7 @@ def _shine(gloss: Gloss, light: GlossLight, frame: Tensor, sky: Sky, wo: Tensor,
 def reflected_lamps(
     position: Tensor,
     frame: Tensor,
+    dip: Tensor,
     eye: Tensor,
     values: Tensor,
     lamps: Tensor,
@@ -157,7 +160,7 @@ def reflected_lamps(
 ) -> Tensor:
     """What points reflect of lamps to the eye (n, c), for an eye (3,) or unit directions (3, n) to it.
 
-    position (3, n), frame (3, 3, n): rows tangent, bitangent, normal
+    position (3, n), frame (3, 3, n): rows tangent, bitangent, normal; dip (n,): `mesh.dips`
     values (turns * tilts, rings, sectors, c): the root of f (`ops.cells.Gloss`)
     lamps (m, 3), powers (m, c): in the world
     through (m, n): how much of each lamp the points see; None for all of it
@@ -170,7 +173,7 @@ def reflected_lamps(
         _lamps(some, towards, values, *rows_of(towards, turns), lamps, powers, own)
         for some, towards, own in zip(frames_of, wo.split(AT_ONCE), seen.split(AT_ONCE, 1), strict=True)
     ]
-    return torch.cat(parts)
+    return torch.cat(parts) * faces_eye(dip, wo[:, 2], eye)[:, None]
 
 
 def _lamps(

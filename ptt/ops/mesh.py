@@ -13,6 +13,8 @@ from torch import Tensor
 
 FLAT = 1e-10  # a triangle has no direction where its doubled area is less than this share of its longest edge squared
 CANCELLED = 1e-6  # a sum of unit vectors that is shorter has no direction
+MARGIN = 0.02  # of dips: points are lit a little inside of their triangles, which are a little bent there
+SEEN = 2.0  # the dip of a point that is seen from everywhere, more than any sine
 
 
 def check_mesh(vertices: Tensor, faces: Tensor) -> None:
@@ -151,6 +153,20 @@ def inset(vertices: Tensor, faces: Tensor, normals: Tensor, share: float) -> Ten
     counts = torch.bincount(faces.flatten(), minlength=len(vertices))[:, None]
     ahead = _scatter(centres, faces, len(vertices)) / counts.clamp(min=1) - vertices
     return vertices + share * _across(ahead, normals) * (counts > 0)
+
+
+def dips(vertices: Tensor, faces: Tensor, normals: Tensor) -> Tensor:
+    """How far below its horizon each vertex (v,) is seen at most: the sine of the largest angle between its unit normal
+    (v, 3) and those of its triangles. An eye below that sees the backs of all of them.
+
+    A triangle turned to an eye at an angle of a to the normal has its own normal within 90 degrees of that way, so that
+    the eye is less than a below the horizon. `SEEN` for vertices with triangles that face away from their normals.
+    """
+    a, b, c = vertices[faces].unbind(1)
+    flat = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1)
+    cosine = (normals[faces] * flat[:, None]).sum(2)
+    lowest = normals.new_ones(len(normals)).scatter_reduce(0, faces.flatten(), cosine.flatten(), "amin")
+    return torch.where(lowest > 0, (1 - lowest.square()).clamp(min=0).sqrt() + MARGIN, SEEN)
 
 
 def _scatter(values: Tensor, faces: Tensor, count: int) -> Tensor:

@@ -28,7 +28,8 @@ from torch import Tensor
 
 from ptt.ops import haar, tucker
 from ptt.ops.albedo import is_missed, lobe_nodes
-from ptt.ops.directions import toward
+from ptt.ops.directions import faces_eye, toward
+from ptt.ops.mesh import SEEN
 from ptt.ops.octahedral import HemiOctahedral, corners, hemi_octahedral, mix, octahedral
 
 BRDF = Callable[[Tensor, Tensor], Tensor]  # f(wi, wo): (..., 3), (..., 3) -> (...) [1/sr]
@@ -117,6 +118,7 @@ class NormalLookup(NamedTuple):
     position, normal (3, v)
     near (4, v) int32, weights (4, v): the nearest sampled normals, bilinear
     twist (4, v): the angle from their frames' tangents to the point's, seen about the normal [rad]
+    dip (v,): `mesh.dips`
     """
 
     position: Tensor
@@ -124,10 +126,14 @@ class NormalLookup(NamedTuple):
     near: Tensor
     weights: Tensor
     twist: Tensor
+    dip: Tensor
 
 
-def located(position: Tensor, frames: Tensor, sampled: Tensor) -> NormalLookup:
-    """Points (v, 3) with frames (v, 3, 3) among those (n * n, 3, 3) of the normals `Octahedral(n).directions()`."""
+def located(position: Tensor, frames: Tensor, sampled: Tensor, dip: Tensor | None = None) -> NormalLookup:
+    """Points (v, 3) with frames (v, 3, 3) among those (n * n, 3, 3) of the normals `Octahedral(n).directions()`.
+
+    dip (v,): `mesh.dips`; None for points that are seen from everywhere
+    """
     normal = frames[:, 2]
     tangent = frames[:, 0]
     near, weights = corners(octahedral(normal), math.isqrt(len(sampled)), wrap=True)
@@ -139,6 +145,7 @@ def located(position: Tensor, frames: Tensor, sampled: Tensor) -> NormalLookup:
         near.T.int().contiguous(),
         weights.T.contiguous(),
         torch.atan2(y, x),
+        position.new_full((len(position),), SEEN) if dip is None else dip,
     )
 
 
@@ -209,21 +216,23 @@ def reflected(light: Tensor, slices: Slices, first: Tensor, frames: Tensor, at: 
     """B (v, c) of points, of local light (f, x, c) as `project` gives it, in frames (f, 3, 3).
 
     first (4, v) int32: the first slice of each point's twist (`first_slice`)
-    eye (3,), or directions (3, v) from the points to the viewer; from behind, points look as from the mirrored side
+    eye (3,), or directions (3, v) from the points to the viewer; from behind, points look as from the mirrored side,
+        those that an eye sees no front of reflect nothing (`faces_eye`)
     """
-    which = first + _view_cell(slices.views, frames, at, eye)
+    wo = toward(eye, at.position, 0)
+    which = first + _view_cell(slices.views, frames, at, wo)
     _, rows, channels = light.shape
     parts = []
     for some, near, weights in zip(*(x.split(_POINTS, 1) for x in (which, at.near, at.weights)), strict=True):
         terms, values = (x.index_select(0, some.flatten()) for x in slices[:2])  # shape: (4 * v, t)
         found = mix(light.flatten(0, 1), rows * near.long().reshape(-1, 1) + terms, values.to(light))
         parts.append((weights.to(light)[..., None] * found.reshape(*weights.shape, channels)).sum(0))
-    return torch.cat(parts)
+    seen = faces_eye(at.dip, (at.normal * wo).sum(0), eye)
+    return torch.cat(parts) * seen[:, None]
 
 
-def _view_cell(views: int, frames: Tensor, at: NormalLookup, eye: Tensor) -> Tensor:
-    """Cells (4, v) of the directions that each normal mirrors to where the point mirrors the viewer."""
-    wo = toward(eye, at.position, 0)
+def _view_cell(views: int, frames: Tensor, at: NormalLookup, wo: Tensor) -> Tensor:
+    """Cells (4, v) of the directions that each normal mirrors to where the point mirrors the viewer, in wo (3, v)."""
     mirrored = 2 * (at.normal * wo).sum(0).clamp(min=0) * at.normal - wo
     x, y, z = torch.einsum("kvax,xv->akv", frames[at.near.long()], mirrored)
     ab = hemi_octahedral(torch.stack((-x, -y, z.abs()), -1))

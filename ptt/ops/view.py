@@ -7,7 +7,7 @@
 V: outgoing factors, V[0] = 1 for the diffuse part; rho_k: reflectance of lobe k, a_k(wo) its axis; E_k: the map blurred
 by it; cut_k: its fractional visibility; I: the light of one and two bounces in harmonics, which z_k blurs, about the
 mean a of the axes. A point that faces away sends what its mirror image above the horizon does, so that silhouettes
-interpolate well.
+interpolate well; one whose triangles all do so (`faces_eye`) sends what is diffuse alone.
 
 Points are innermost, in blocks of w; n = b * w of them.
 """
@@ -24,7 +24,7 @@ from torch import Tensor
 from ptt.ops import harmonics, lobes
 from ptt.ops.compiling import spans
 from ptt.ops.constants import TINY
-from ptt.ops.directions import toward
+from ptt.ops.directions import faces_eye, toward
 from ptt.ops.octahedral import corners, hemi_octahedral, mix, octahedral, sampled, tiled_columns, tiled_rows
 from ptt.ops.relight import OutgoingLight
 from ptt.ops.transfer import lookup
@@ -36,13 +36,15 @@ _POINTS = 1 << 16  # that are worked out together: in a trial of 62,777, four pa
 class SurfaceBlocks(NamedTuple):
     """The points of a region, in blocks.
 
-    position (3, n); frame (3, 3, n): rows tangent, bitangent, normal; colour (3, n) of the surface, None for white
+    position (3, n); frame (3, 3, n): rows tangent, bitangent, normal; dip (n,): `mesh.dips`
+    colour (3, n) of the surface, None for white
     cuts (n, cells) int32: cut_k, a byte each, cells in `tiles`
     place (v,) int64: where each point of the region lies among the n
     """
 
     position: Tensor
     frame: Tensor
+    dip: Tensor
     colour: Tensor | None
     cuts: Tensor
     place: Tensor
@@ -50,7 +52,7 @@ class SurfaceBlocks(NamedTuple):
     def part(self, first: int, end: int) -> SurfaceBlocks:
         """Points first..end-1; `place` is that of all."""
         colour = None if self.colour is None else self.colour[:, first:end]
-        rows = self.position[:, first:end], self.frame[:, :, first:end], colour
+        rows = self.position[:, first:end], self.frame[:, :, first:end], self.dip[first:end], colour
         return SurfaceBlocks(*rows, self.cuts[first:end], self.place)
 
 
@@ -117,12 +119,12 @@ def _radiance(
     if points.colour is not None:
         diffuse = diffuse * _blocks(points.colour, values)
     factors = lookup(outgoing.T.unflatten(1, (_side(outgoing), -1)), _blocks(wo, values))
-    out = diffuse + _products(factors, values[:, :, 1:o])
+    glossy = _products(factors, values[:, :, 1:o])
     if gloss is not None:
         rho, leant = _leant(gloss, _blocks(wo, values))
         sideways = -wo[:2]
         axes = torch.cat((leant[0] * sideways[:, None], leant[1:]))
-        lit = torch.zeros_like(out)
+        lit = torch.zeros_like(glossy)
         if gloss.maps is not None:
             seen = rho * _through(points.cuts, axes, gloss.which)
             plane = torch.stack((_sums(points.frame[:2], sideways[:, None]), points.frame[2]))  # of all axes
@@ -134,8 +136,9 @@ def _radiance(
             axis = mean / mean.square().sum(0).clamp(min=TINY).sqrt()
             response = (gloss.blurs.T @ rho) * harmonics.evaluate(axis.T, round(gloss.blurs.shape[1] ** 0.5)).T
             lit = lit + _products(_blocks(response, values), values[:, :, o:])
-        out = out + lit * gloss.specular[:, None]
-    return out
+        glossy = glossy + lit * gloss.specular[:, None]
+    seen = faces_eye(points.dip, wo[2], eye)
+    return diffuse + glossy * _blocks(seen[None].to(wo), values)
 
 
 def local_directions(position: Tensor, frame: Tensor, eye: Tensor) -> Tensor:

@@ -86,16 +86,19 @@ class RegionPoints(nn.Module):
     """The points of one region in blocks, and which slots light them.
 
     slots (q,), pairs (pairs, 2) int64: positions in the model's list of slots
-    position (3, n), frame (3, 3, n), colour (3, n), None where it is white: of n = blocks * width points
+    position (3, n), frame (3, 3, n), dip (n,), colour (3, n), None where it is white: of n = blocks * width points
     """
 
     slots: Tensor
     pairs: Tensor
     position: Tensor
     frame: Tensor
+    dip: Tensor
     colour: Tensor | None
 
-    def __init__(self, region: ClusteredTransfer, positions: Tensor, frames: Tensor, colours: Tensor) -> None:
+    def __init__(
+        self, region: ClusteredTransfer, positions: Tensor, frames: Tensor, dips: Tensor, colours: Tensor
+    ) -> None:
         super().__init__()
         white = not bool((colours != 1).any())
         tensors = {
@@ -103,6 +106,7 @@ class RegionPoints(nn.Module):
             "pairs": torch.tensor(region.pairs, dtype=torch.int64).reshape(-1, 2),
             "position": region.in_line(positions),
             "frame": region.in_line(frames),
+            "dip": region.in_line(dips),
             "colour": None if white else region.in_line(colours),
         }
         for name, tensor in tensors.items():
@@ -136,7 +140,7 @@ class ClusterSteps(nn.Module):
         for name, tensor in tensors.items():
             self.register_buffer(name, tensor, persistent=False)
         self.points = [
-            RegionPoints(region, model.positions[own], model.frames[own], model.colours[own])
+            RegionPoints(region, *(x[own] for x in (model.positions, model.frames, model.dips, model.colours)))
             for region, own in zip(model.clustered, self._rows(), strict=True)
         ]
         self.regions = nn.ModuleList(self.points)
@@ -232,7 +236,7 @@ class ClusterSteps(nn.Module):
             sent = partial(self._sent, region, arriving, *weights)
             layers.append([layer for tables in material.layers for layer in self._layers(tables, light, sent)])
         surfaces = [
-            SurfaceBlocks(points.position, points.frame, material.colour, region.cuts, region.place)
+            SurfaceBlocks(points.position, points.frame, points.dip, material.colour, region.cuts, region.place)
             for points, region, material in zip(self.points, self.model.clustered, materials, strict=True)
         ]
         return ClusterExitant(surfaces, layers, self.model.brdf.u_o.flatten(1).T.contiguous())

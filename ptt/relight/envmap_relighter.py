@@ -279,7 +279,7 @@ class EnvMapRelighter(Relighter):
             return by_slices
         directions, powers, _ = sent.lamps
         of_lamps: Tensor = self._operations.reflected_lamps(
-            points.position, points.frames, toward, sent.roots, directions, powers
+            points.position, points.frames, points.dip, toward, sent.roots, directions, powers
         )
         return by_slices + of_lamps
 

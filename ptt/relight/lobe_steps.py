@@ -115,7 +115,7 @@ class LobeSteps(nn.Module):
         self._operations = operations(compiled)
         self.own = [slice(first, end) for first, end in model.receivers.spans]
         self.points = [
-            RegionPoints(region, model.positions[rows], model.frames[rows], model.colours[rows])
+            RegionPoints(region, *(x[rows] for x in (model.positions, model.frames, model.dips, model.colours)))
             for region, rows in zip(model.clustered, self.own, strict=True)
         ]
         self.regions = nn.ModuleList(self.points)
@@ -294,7 +294,7 @@ class LobeSteps(nn.Module):
 
     def _surface(self, region: int) -> SurfaceBlocks:
         points, own = self.points[region], self.model.clustered[region]
-        return SurfaceBlocks(points.position, points.frame, None, own.cuts, own.place)
+        return SurfaceBlocks(points.position, points.frame, points.dip, None, own.cuts, own.place)
 
     def radiance(self, exitant: Sequence[LobeRegion], eye: Tensor) -> Tensor:
         """The view step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""

@@ -64,7 +64,8 @@ class Relighter(nn.Module, ABC):
             is left out has the scene's own
         view: a Camera, an eye (3,), directions (v, 3) from the vertices to the viewer, or a GBuffer
 
-        Points that face away have the radiance of the mirrored direction, so that silhouettes interpolate well.
+        Points that face away have the radiance of the mirrored direction, so that silhouettes interpolate well. Those
+        of which an eye sees no triangle from the front may lack their highlights, since a picture does not show them.
 
         Raises:
             ValueError: an unknown region, what is no material, or a view of another shape; what a relighter cannot

@@ -15,6 +15,7 @@ from ptt.ops.shade import ShadedPoints
 from ptt.ops.view import SurfaceBlocks
 from ptt.relight.glosses import light_for
 from ptt.relight.light_step import SplitLight
+from ptt.relight.surface_points import SurfacePoints
 
 
 class ShiningPoints(NamedTuple):
@@ -36,18 +37,19 @@ class LampLight(NamedTuple):
     matt: Tensor
 
 
-def by_groups(at: ShadedPoints, positions: Tensor, frames: Tensor, places: Tensor) -> list[ShiningPoints]:
+def by_groups(at: ShadedPoints, surface: SurfacePoints, places: Tensor) -> list[ShiningPoints]:
     """The points of every group of layers.
 
-    positions (p, 3), frames (p, 3, 3): of the points; places: frames (r, 3, 3) of those that `at.seen` names
+    places: frames (r, 3, 3) of those that `at.seen` names
     """
+    positions, frames, dips, *_ = surface
     found = []
     for group in at.region.unique().tolist():
         own = (at.region == group).nonzero()[:, 0]
         rows = torch.cat((own, own[-1:].expand(-len(own) % GROUP)))
         none = positions.new_empty(0, dtype=torch.int32)
         place = torch.arange(len(own), device=rows.device)
-        lines = positions[rows].T.contiguous(), frames[rows].movedim(0, 2).contiguous()
+        lines = positions[rows].T.contiguous(), frames[rows].movedim(0, 2).contiguous(), dips[rows]
         between = Between(at.seen.rows[rows], at.seen.weights[rows], places)
         shares = at.shares[:, rows].transpose(1, 2).contiguous()
         found.append(ShiningPoints(group, rows, SurfaceBlocks(*lines, None, none, place), between, shares))

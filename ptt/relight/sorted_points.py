@@ -48,7 +48,7 @@ class SortedPoints(nn.Module):
         rows = rows[nearest.argsort(stable=True)]
         rows = torch.cat((rows, rows[-1:].expand(-count % ALIGNED)))
         positions, frames = surface.positions[rows], surface.frames[rows]
-        lookup = slices.located(positions, frames, sampled)
+        lookup = slices.located(positions, frames, sampled, surface.dips[rows])
         own = surface.colour[rows], occlusion[rows, None], frames.movedim(0, 2).contiguous()
         return cls(count, rows, lookup, *own)
 

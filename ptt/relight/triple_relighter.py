@@ -282,8 +282,7 @@ class TripleProductRelighter(Relighter):
         shaded = ShadedPoints(at.light, at.seen, self._viewed_from(at, eye), coats.group, coats.colour, coats.shares)
         shining = []
         if self.narrow:
-            places = surface.positions, surface.frames, self.places
-            shining = self._shining((at, coats), lambda: by_groups(shaded, *places))
+            shining = self._shining((at, coats), lambda: by_groups(shaded, surface, self.places))
         return RelitPoints(shaded, surface.frames[:, 2], shining)
 
     def _viewed_from(self, at: PointLookups, eye: Tensor) -> Near:
@@ -313,7 +312,7 @@ class TripleProductRelighter(Relighter):
         groups = [[material.layers[k] for k in group] for material in materials for group in material.groups]
         layers = list(zip_longest(*groups, fillvalue=NO_COAT))
         diffuse = torch.stack([torch.stack([m.diffuse for m in layer]) for layer in layers]).to(self.dull)
-        glossy, first, specular = self._no_table(), torch.zeros(diffuse.shape[:2], dtype=torch.int32), diffuse * 0
+        glossy, first, specular = self._no_table(1), torch.zeros(diffuse.shape[:2], dtype=torch.int32), diffuse * 0
         glosses: list[list[Gloss | None]] = []
         if self.narrow:
             glosses = [self._lobes_of(material, group) for material in materials for group in material.groups]
@@ -333,7 +332,7 @@ class TripleProductRelighter(Relighter):
         device = self.dull.device
         tables = [[None if m.shape is None else self._tables(m.shape, device) for m in layer] for layer in layers]
         distinct = list({id(table): table for layer in tables for table in layer if table is not None}.values())
-        glossy: Table = self._glossy(distinct, lambda: _joined(distinct or [self._no_table()]))
+        glossy: Table = self._glossy(distinct, lambda: _joined(distinct or [self._no_table(self.views**2)]))
         starts = {id(None): 0} | {id(table): self.views**2 * k for k, table in enumerate(distinct)}
         return glossy, torch.tensor([[starts[id(table)] for table in layer] for layer in tables], dtype=torch.int32)
 
@@ -370,9 +369,9 @@ class TripleProductRelighter(Relighter):
         table = local.brdf_table(shape.evaluate, self.grid, self.views, is_mirror_symmetric(shape), narrow)
         return Table(*(x.to(self.dull.device) for x in stored(table, self.storage)))
 
-    def _no_table(self) -> Table:
-        """Rows that a material without highlights points at."""
-        return Table(self.dull.new_zeros(1, self.grid.cells, dtype=self.storage), self.dull.new_zeros(1))
+    def _no_table(self, rows: int) -> Table:
+        """Rows that materials without highlights point at, where none has them."""
+        return Table(self.dull.new_zeros(rows, self.grid.cells, dtype=self.storage), self.dull.new_zeros(rows))
 
     def _checked(self, light: RotatedLight) -> RotatedLight:
         expected = (len(self.frames) * self.twists, 3, self.grid.cells)

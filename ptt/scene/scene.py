@@ -183,6 +183,11 @@ class Scene:
         return mesh.inset(self.vertices, self.faces, self.normals, INSET)
 
     @cached_property
+    def dips(self) -> Tensor:
+        """How far below its horizon each vertex (v,) is seen at most, a sine (`ptt.ops.mesh.dips`)."""
+        return mesh.dips(self.vertices, self.faces, self.normals)
+
+    @cached_property
     def face_region(self) -> Tensor:
         """The region (f,) of each face, an index into `regions`."""
         return self.vertex_region[self.faces[:, 0]]

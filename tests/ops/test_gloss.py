@@ -56,6 +56,7 @@ def points(count: int, seen: Callable[[Tensor], Tensor] | None = None) -> tuple[
     blocks = SurfaceBlocks(
         torch.zeros(3, count),
         torch.eye(3)[:, :, None].repeat(1, 1, count),
+        torch.zeros(count),
         None,
         torch.empty(0),
         torch.arange(count),

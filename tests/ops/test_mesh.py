@@ -193,3 +193,31 @@ BAD = {
 def test_bad_meshes_are_refused(message: str) -> None:
     with pytest.raises(ValueError, match=message):
         mesh.check_mesh(*BAD[message])
+
+
+@pytest.mark.parametrize("name", [*SHAPES, "bent"])
+def test_dips_leave_out_no_vertex_that_is_seen(name: str) -> None:
+    """From any eye, each vertex of a triangle that is turned to it is above the lowest place from where it is seen;
+    and so is not much else: of a closed body half is turned away, more where normals are far from the triangles'."""
+    if name == "bent":  # a box whose corners have one normal for all three sides
+        vertices, faces, _ = mesh.weld(*mesh.box_mesh((1.0, 2.0, 3.0), 4))
+    else:
+        vertices, faces = SHAPES[name][0]
+    normals = mesh.vertex_normals(vertices, faces).float()
+    dips = mesh.dips(vertices, faces, normals)
+    a = vertices[faces][:, 0]
+    flat = mesh.face_crosses(vertices, faces).float()
+    shares = []
+    for eye in 5 * torch.randn(20, 3, generator=torch.Generator().manual_seed(0)):
+        front = ((eye - a) * flat).sum(1) > 0
+        height = (torch.nn.functional.normalize(eye - vertices, dim=1) * normals).sum(1)
+        seen = height > -dips
+        assert bool(seen[faces[front]].all())
+        shares.append(float(seen.float().mean()))
+    assert sum(shares) / 20 < (0.85 if name == "bent" else 0.6)
+
+
+def test_dips_where_a_triangle_faces_away_from_its_normals() -> None:
+    """It may be seen from anywhere."""
+    vertices, faces = mesh.plane_mesh(1.0, 1)
+    assert bool((mesh.dips(vertices, faces, -mesh.vertex_normals(vertices, faces).float()) > 1).all())

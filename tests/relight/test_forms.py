@@ -78,6 +78,23 @@ def test_all_forms_agree(make: Callable[[bool], Relighter]) -> None:
         assert difference(of(form), eager) < AGREE
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+def test_an_eye_sees_what_directions_to_it_see(
+    make: Callable[[bool], Relighter], small_scene: ptt.Scene, compiled: bool
+) -> None:
+    """At the corners of all triangles that are turned to it; elsewhere highlights may be missing, and nothing else."""
+    relighter = make(compiled)
+    a, b, c = small_scene.vertices[small_scene.faces].unbind(1)
+    turned = (torch.linalg.cross(b - a, c - a) * (EYE - a)).sum(1) > 0
+    corners = small_scene.faces[turned].unique()
+    towards = EYE - relighter.positions
+    seen, whole = (relighter(SKY, MATERIALS, view) for view in (EYE, towards))
+    assert difference(seen[corners], whole[corners]) < 1e-5
+    matt = {name: ptt.lambert(0.5) for name in MATERIALS}
+    seen, whole = (relighter(SKY, matt, view) for view in (EYE, towards))
+    assert difference(seen, whole) < 1e-5
+
+
 @pytest.mark.parametrize("compiled", [False, True], ids=["eager", "kernels"])
 def test_a_brighter_light_is_brighter_by_its_factor(make: Callable[[bool], Relighter], compiled: bool) -> None:
     """A factor is exact; a map times a number is another map, which differs in the order of sums alone."""

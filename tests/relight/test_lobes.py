@@ -170,11 +170,12 @@ def test_metals_see_what_lies_around(
 def test_what_a_broad_highlight_sees_reflects_as_one_lobe(
     scene: ptt.Scene, bounced: ptt.TransferModel, sky: ptt.Environment, roughness: float, reads: bool
 ) -> None:
-    """The few lobes of what it sees are not read: nothing changes where they are not numbers."""
+    """The few lobes of what it sees are not read: nothing changes where what they reflect is no number."""
     steps = ptt.TransferRelighter(bounced, compiled=False).steps
     gold = scene.materials | {"ball": ptt.ggx(0.0, 1.0, GOLD, roughness)}
     region, *_ = steps.exitant(steps.incident(sky), list(gold.values()))
-    nothing = torch.full_like(region.around.parts, torch.nan)
+    nothing = region.around.parts.clone()
+    nothing[..., 4:] = torch.nan
     unread = region._replace(around=region.around._replace(parts=nothing))
     right, got = (steps.radiance([each], EYE) for each in (region, unread))
     assert torch.equal(right, got) is not reads

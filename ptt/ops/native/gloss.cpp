@@ -27,17 +27,18 @@ struct Lobe {
     Ints pair, second;  // words of two cells of what else is seen, and which of the two
 };
 
-// Of a group of points: the local direction to the eye, and unit (u, v) along it as seen from above; the row of tables
+// Of a group of points: which the eye sees (`faces_eye`), and whether any; the local direction to it, and unit (u, v) along it as seen from above; the row of tables
 // below it, and the share of the row above; of anisotropic f, the first rows of two azimuths, and the share of the
 // next.
 struct Stand {
+    Ints seen;
+    bool some;
     Lanes wo[3], u, v, frame[3][3], share, onward;
     Ints row, turn, next;
 };
 
-// Of the same: how much there is of the material, channel by channel, and whether any; its lobes.
+// Of the same: how much there is of the material, channel by channel, none where it is not seen; its lobes.
 struct Look : Stand {
-    bool some;
     Lanes material[3];
     Corner corners[CORNERS];
     Lobe lobes[MOST_CELLS];
@@ -100,6 +101,8 @@ static inline void stand(const Points &g, int64_t v, Stand &at) {
     }
     const Ints here = (at.wo[0] == 0) & (at.wo[1] == 0) & (at.wo[2] == 0);  // an eye in a point looks along its normal
     at.wo[2] = here ? all(1) : at.wo[2];
+    at.seen = faces_eye(g, v, at.wo[2]), at.some = any(at.seen);
+    if (!at.some) return;
     flattened(at.wo, at.u, at.v);
     const Lanes tilt = least(most(size(at.wo[2]) * (TILTS - 0.5f) - 0.5f, all(0)), all(TILTS - 1));
     at.row = clamp(whole(tilt), TILTS - 2), at.share = tilt - real(at.row);
@@ -116,7 +119,6 @@ static inline void mix_rows(const float *below, float share, int columns, float 
 }
 
 static inline void look(const Shine &g, int64_t v, Look &at) {
-    stand(g, v, at);
     Lanes to_map[3][3];
     for (int r = 0; r < 3; ++r) turned(at.frame[r], g.turn, to_map[r]);
     for (int j = 0; j < g.each; ++j) {
@@ -609,9 +611,10 @@ static inline void lamp(const Lit &g, int64_t v, const Stand &at, int64_t m, flo
 
 // All that is done of a group before the light of the one before is summed, so that memory has time to answer.
 static inline void begin(const Shine &g, int64_t v, int64_t later, Look &at) {
+    stand(g, v, at);
     Ints some = {};
     for (int c = 0; c < 3; ++c) {
-        at.material[c] = g.share ? load(g.share + c * g.n + v) : all(1);
+        at.material[c] = at.seen ? (g.share ? load(g.share + c * g.n + v) : all(1)) : all(0);
         some |= at.material[c] != 0;
     }
     at.some = any(some);
@@ -621,27 +624,27 @@ static inline void begin(const Shine &g, int64_t v, int64_t later, Look &at) {
 extern "C" int32_t ptt_shine(const Shine *given) {
     const Shine g = *given;
     if (g.lobes > MOST_CELLS) return UNKNOWN;
-    const int64_t groups = g.n / LANES;
 #pragma omp parallel num_threads(g.threads)
     {
-        const int64_t t = omp_get_thread_num(), of = omp_get_num_threads();
-        const int64_t first = groups * t / of, end = groups * (t + 1) / of;
-        Look looks[2];
-        if (first < end) begin(g, first * LANES, std::min(first + AHEAD, end - 1) * LANES, looks[first & 1]);
-        for (int64_t i = first; i < end; ++i) {
-            const Look &at = looks[i & 1];
-            alignas(64) float sums[LANES][CHANNELS] = {};
-            if (i + 1 < end) begin(g, (i + 1) * LANES, std::min(i + 1 + AHEAD, end - 1) * LANES, looks[(i + 1) & 1]);
-            if (at.some) {
-                reflect(g, i * LANES, at, sums);
-                for (int64_t m = 0; m < g.sources; ++m) lamp(g, i * LANES, at, m, sums);
+        by_parts(g.n / LANES, [&](int64_t first, int64_t end) {
+            Look looks[2];
+            begin(g, first * LANES, std::min(first + AHEAD, end - 1) * LANES, looks[first & 1]);
+            for (int64_t i = first; i < end; ++i) {
+                const Look &at = looks[i & 1];
+                alignas(64) float sums[LANES][CHANNELS] = {};
+                const int64_t next = i + 1, later = std::min(next + AHEAD, end - 1);
+                if (next < end) begin(g, next * LANES, later * LANES, looks[next & 1]);
+                if (at.some) {
+                    reflect(g, i * LANES, at, sums);
+                    for (int64_t m = 0; m < g.sources; ++m) lamp(g, i * LANES, at, m, sums);
+                }
+                for (int l = 0; l < LANES; ++l)
+                    for (int c = 0; c < 3; ++c) g.line[3 * (i * LANES + l) + c] = at.material[c][l] * sums[l][c];
             }
-            for (int l = 0; l < LANES; ++l)
-                for (int c = 0; c < 3; ++c) g.line[3 * (i * LANES + l) + c] = at.material[c][l] * sums[l][c];
-        }
-#pragma omp barrier
-        for (int64_t p = g.points * t / of; p < g.points * (t + 1) / of; ++p)
-            std::memcpy(g.out + 3 * p, g.line + 3 * g.place[p], 3 * sizeof(float));
+        });
+        by_parts(g.points, [&](int64_t first, int64_t end) {
+            for (int64_t p = first; p < end; ++p) std::memcpy(g.out + 3 * p, g.line + 3 * g.place[p], 3 * sizeof(float));
+        });
     }
     return DONE;
 }
@@ -653,7 +656,9 @@ extern "C" int32_t ptt_reflected_lamps(const ReflectedLamps *given) {
         Stand at;
         alignas(64) float sums[LANES][CHANNELS] = {};
         stand(g, group * LANES, at);
-        for (int64_t m = 0; m < g.sources; ++m) lamp(g, group * LANES, at, m, sums);
+        for (int64_t m = 0; m < g.sources && at.some; ++m) lamp(g, group * LANES, at, m, sums);
+        for (int l = 0; l < LANES; ++l)
+            for (int c = 0; c < 3; ++c) sums[l][c] = at.seen[l] ? sums[l][c] : 0;
         for (int l = 0; l < LANES; ++l) std::memcpy(g.out + 3 * (group * LANES + l), sums[l], 3 * sizeof(float));
     });
     return DONE;

@@ -51,7 +51,8 @@ def shine(
     where = (None, None, None) if between is None else tuple(between)
     other = (None,) * len(Around._fields) if around is None else tuple(around)
     lit = (gloss.values, *light, share)
-    result: Tensor = _shine(points.position, points.frame, points.place, eye, seen, table, turns, *lit, *where, *other)
+    own = (points.position, points.frame, points.dip, points.place)
+    result: Tensor = _shine(*own, eye, seen, table, turns, *lit, *where, *other)
     return result
 
 
@@ -60,6 +61,7 @@ class _Shine(NamedTuple):
 
     position: Tensor
     frame: Tensor
+    dip: Tensor
     place: Tensor
     eye: Tensor
     seen: Tensor
@@ -95,7 +97,7 @@ WHERE = slice(_Shine._fields.index("rows"), _Shine._fields.index("places") + 1) 
 def _plain(*arguments: Any) -> Tensor:
     g = _Shine(*arguments)
     light = GlossLight(g.maps, g.turn, g.lamps, g.powers, g.through)
-    points = SurfaceBlocks(g.position, g.frame, None, g.position.new_empty(0), g.place)
+    points = SurfaceBlocks(g.position, g.frame, g.dip, None, g.position.new_empty(0), g.place)
     gloss = Gloss(Lobes(g.table, g.turns), g.values, g.table[:0], g.table[:0], spread=90.0)
     around = None if g.meets is None else Around(*arguments[-len(Around._fields) :])
     between = Between(*arguments[WHERE]) if g.rows is not None else None
@@ -110,9 +112,10 @@ def _conditions(*arguments: Any) -> Conditions:
     yield of_type(torch.float32, *reals), "points, tables and light must be float32"
     yield contiguous(g.position, g.table, g.values, g.maps), "points, tables and maps must be contiguous"
     yield of_type(torch.int64, g.place) and contiguous(g.place), "place must be int64, contiguous"
-    yield of_type(torch.float32, g.frame, g.lamps, g.powers, g.through), "frames and lamps must be float32"
-    yield contiguous(g.frame, g.through), "frames and what is seen of lamps must be contiguous"
+    yield of_type(torch.float32, g.frame, g.dip, g.lamps, g.powers, g.through), "frames and lamps must be float32"
+    yield contiguous(g.frame, g.dip, g.through), "frames and what is seen of lamps must be contiguous"
     yield g.frame.shape == (3, 3, n) and n % GROUP == 0, f"frame must be (3, 3, n), n a multiple of {GROUP}"
+    yield g.dip.shape == (n,), "dip must be (n,)"
     yield from of_hemispheres(g.seen)
     yield g.lamps.shape == g.powers.shape == (len(g.lamps), 3), "lamps and powers must be (m, 3)"
     yield g.through.shape == (len(g.lamps), n), "what is seen of lamps must be (m, n)"
@@ -183,6 +186,7 @@ def _kernel(*arguments: Any) -> Tensor:
         "shine",
         position=g.position,
         frame=g.frame,
+        dip=g.dip,
         eye=g.eye.contiguous(),
         table=g.table,
         values=g.values,
@@ -231,7 +235,7 @@ def _kernel(*arguments: Any) -> Tensor:
 
 
 _shine = operator(
-    "shine(Tensor position, Tensor frame, Tensor place, Tensor eye, Tensor seen, Tensor table, int turns, "
+    "shine(Tensor position, Tensor frame, Tensor dip, Tensor place, Tensor eye, Tensor seen, Tensor table, int turns, "
     "Tensor values, Tensor maps, Tensor turn, Tensor lamps, Tensor powers, Tensor through, Tensor? share, "
     "Tensor? rows, Tensor? weights, Tensor? places, "
     "Tensor? mean, Tensor? meets, Tensor? records, Tensor? sent, Tensor? all_seen, Tensor? others, Tensor? tables, "
@@ -239,7 +243,7 @@ _shine = operator(
     plain=_plain,
     kernel=_kernel,
     conditions=_conditions,
-    fake=lambda position, frame, place, *others: position.new_empty(len(place), 3),
+    fake=lambda position, frame, dip, place, *others: position.new_empty(len(place), 3),
 )
 
 # What is reflected of lamps alone
@@ -249,6 +253,7 @@ _shine = operator(
 def reflected_lamps(
     position: Tensor,
     frame: Tensor,
+    dip: Tensor,
     eye: Tensor,
     values: Tensor,
     lamps: Tensor,
@@ -256,7 +261,7 @@ def reflected_lamps(
     through: Tensor | None = None,
 ) -> Tensor:
     """B (n, c), as `ptt.ops.gloss.reflected_lamps`."""
-    result: Tensor = _reflected_lamps(position, frame, eye, values, lamps, powers, through)
+    result: Tensor = _reflected_lamps(position, frame, dip, eye, values, lamps, powers, through)
     return result
 
 
@@ -265,6 +270,7 @@ class _ReflectedLamps(NamedTuple):
 
     position: Tensor
     frame: Tensor
+    dip: Tensor
     eye: Tensor
     values: Tensor
     lamps: Tensor
@@ -275,10 +281,10 @@ class _ReflectedLamps(NamedTuple):
 def _reflected_conditions(*arguments: Any) -> Conditions:
     g = _ReflectedLamps(*arguments)
     n = g.position.shape[1]
-    yield of_type(torch.float32, *arguments[:6]), "points and lamps must be float32"
-    yield contiguous(g.position, g.frame, g.values), "points and values must be contiguous"
+    yield of_type(torch.float32, *arguments[:7]), "points and lamps must be float32"
+    yield contiguous(g.position, g.frame, g.dip, g.values), "points and values must be contiguous"
     yield g.position.shape == (3, n) and n % GROUP == 0, f"position must be (3, n), n a multiple of {GROUP}"
-    yield g.frame.shape == (3, 3, n), "frame must be (3, 3, n)"
+    yield g.frame.shape == (3, 3, n) and g.dip.shape == (n,), "frame must be (3, 3, n), and dip (n,)"
     yield g.eye.shape in ((3,), (3, n)), "eye must be (3,) or (3, n)"
     yield from _of_values(g.values, len(g.values) // TILTS)
     yield g.lamps.shape == g.powers.shape == (len(g.lamps), 3), "lamps and powers must be (m, 3)"
@@ -294,6 +300,7 @@ def _reflected_kernel(*arguments: Any) -> Tensor:
         "reflected_lamps",
         position=g.position,
         frame=g.frame,
+        dip=g.dip,
         eye=g.eye.contiguous(),
         values=g.values,
         lamps=g.lamps.contiguous(),
@@ -309,12 +316,12 @@ def _reflected_kernel(*arguments: Any) -> Tensor:
 
 
 _reflected_lamps = operator(
-    "reflected_lamps(Tensor position, Tensor frame, Tensor eye, Tensor values, Tensor lamps, Tensor powers, "
-    "Tensor? through) -> Tensor",
+    "reflected_lamps(Tensor position, Tensor frame, Tensor dip, Tensor eye, Tensor values, Tensor lamps, "
+    "Tensor powers, Tensor? through) -> Tensor",
     plain=lambda *arguments: plain.reflected_lamps(*arguments),
     kernel=_reflected_kernel,
     conditions=_reflected_conditions,
-    fake=lambda position, frame, eye, values, *others: position.new_empty(position.shape[1], values.shape[3]),
+    fake=lambda position, frame, dip, eye, values, *others: position.new_empty(position.shape[1], values.shape[3]),
 )
 
 # How much of lamps is seen

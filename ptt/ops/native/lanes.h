@@ -103,6 +103,12 @@ static inline Lanes gather(const float *p, Ints index) {
 #endif
 }
 
+// ptt.ops.directions.faces_eye, of points from v on.
+template <class Points>
+static inline Ints faces_eye(const Points &g, int64_t v, Lanes height) {
+    return g.distant ? ~Ints{} : (Ints)(height > -load(g.dip + v));
+}
+
 // The four bytes from each of p's on
 static inline Ints gather_bytes(const void *p, Ints index) {
 #if defined(__AVX512F__)
@@ -300,12 +306,22 @@ static inline Place place_on_sphere(const Lanes *direction, int n) {
     return place(a * inner, b * inner, n);
 }
 
-// run(i) for i in 0..count-1, each thread an even share in order
+constexpr int PARTS_EACH = 16;  // of the work of a thread
+
+// run(first, end) of parts of 0..count-1, within a parallel region: a thread that is done takes the next, since parts
+// differ (points may be seen or not), and other programs may hold a thread up. Ends when all are done.
+template <class Run>
+static inline void by_parts(int64_t count, Run run) {
+    const int64_t parts = std::min<int64_t>(count, PARTS_EACH * omp_get_num_threads());
+#pragma omp for schedule(dynamic, 1)
+    for (int64_t part = 0; part < parts; ++part) run(count * part / parts, count * (part + 1) / parts);
+}
+
+// run(i) for i in 0..count-1
 template <class Run>
 static inline void in_parallel(int64_t count, int threads, Run run) {
 #pragma omp parallel num_threads(threads)
-    {
-        const int64_t t = omp_get_thread_num(), of = omp_get_num_threads();
-        for (int64_t i = count * t / of; i < count * (t + 1) / of; ++i) run(i);
-    }
+    by_parts(count, [&](int64_t first, int64_t end) {
+        for (int64_t i = first; i < end; ++i) run(i);
+    });
 }

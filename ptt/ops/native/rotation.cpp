@@ -205,6 +205,11 @@ extern "C" int32_t ptt_reflected(const Reflected *g) {
             up += mirrored[c] * load(g->normal + c * v + at);
         }
         const Lanes scale = 1.0f / root(most(length, all(TINY)));
+        const Ints seen = faces_eye(*g, at, up * scale);
+        if (!any(seen)) {
+            std::memset(g->out + at * 4, 0, LANES * 4 * sizeof(float));
+            return;
+        }
         up = 2.0f * most(up, Lanes{});
         for (int c = 0; c < 3; ++c) mirrored[c] = (up * load(g->normal + c * v + at) - mirrored[c]) * scale;
         const float half = 0.5f * g->views;
@@ -224,7 +229,7 @@ extern "C" int32_t ptt_reflected(const Reflected *g) {
         }
         for (int64_t l = 0; l < LANES; ++l) {
             Four total = {};
-            for (int k = 0; k < CORNERS; ++k) {
+            for (int k = 0; k < CORNERS && seen[l]; ++k) {
                 const int64_t corner = k * v + at + l, s = slice[k][l] * g->kept;
                 const float *light = g->light + g->near[corner] * g->width * 4;
                 Four sum[4] = {};

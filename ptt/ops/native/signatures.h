@@ -66,7 +66,7 @@ struct Expand {
 // ptt/ops/view.py
 
 struct View {
-    const float *position, *frame, *colour, *eye, *outgoing;
+    const float *position, *frame, *dip, *colour, *eye, *outgoing;
     const int16_t *values;
     const float *unit, *rho, *axes, *specular, *maps, *turn, *blurs;
     const int32_t *cuts;
@@ -80,7 +80,7 @@ struct View {
 // ptt/ops/gloss.py
 
 struct Shine {
-    const float *position, *frame, *eye, *table, *values, *maps, *turn, *lamps, *powers;
+    const float *position, *frame, *dip, *eye, *table, *values, *maps, *turn, *lamps, *powers;
     const float *through;                                 // (sources, n), how much of lamps is seen
     const float *share;                                   // null for all of the material everywhere
     const float *mean, *records, *sent, *tables, *parts, *rest;  // of what lies around
@@ -100,7 +100,7 @@ struct Shine {
 };
 
 struct ReflectedLamps {
-    const float *position, *frame, *eye, *values, *lamps, *powers;
+    const float *position, *frame, *dip, *eye, *values, *lamps, *powers;
     const float *through;  // (sources, n), null where all of every lamp is seen
     float *out;            // (n, 3)
     int64_t n, sources;
@@ -206,7 +206,7 @@ struct RotatedLight {
 // ptt/ops/slices.py
 
 struct Reflected {
-    const float *position, *normal, *frames, *eye, *weights, *light;
+    const float *position, *normal, *dip, *frames, *eye, *weights, *light;
     const int32_t *near, *first;
     const int16_t *terms;
     const Half *values;

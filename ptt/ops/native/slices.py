@@ -20,8 +20,7 @@ from ptt.ops.slices import NormalLookup, Slices
 @inlined
 def reflected(light: Tensor, cut: Slices, first: Tensor, frames: Tensor, at: NormalLookup, eye: Tensor) -> Tensor:
     """B (v, c), as `ptt.ops.slices.reflected`; light is read in place where it has four channels."""
-    points = (at.position, at.normal, at.near, at.weights, at.twist)
-    result: Tensor = _reflected(light, cut.terms, cut.values, cut.views, first, frames, *points, eye)
+    result: Tensor = _reflected(light, cut.terms, cut.values, cut.views, first, frames, *at, eye)
     return result
 
 
@@ -39,24 +38,25 @@ class _Reflected(NamedTuple):
     near: Tensor
     weights: Tensor
     twist: Tensor
+    dip: Tensor
     eye: Tensor
 
 
 def _reflected_plain(*arguments: Any) -> Tensor:
     g = _Reflected(*arguments)
-    at = NormalLookup(g.position, g.normal, g.near, g.weights, g.twist)
+    at = NormalLookup(g.position, g.normal, g.near, g.weights, g.twist, g.dip)
     return slices.reflected(g.light, Slices(g.terms, g.values, g.views), g.first, g.frames, at, g.eye)
 
 
 def _reflected_conditions(*arguments: Any) -> Conditions:
     g = _Reflected(*arguments)
     v = g.position.shape[1]
-    reals = (g.light, g.eye, g.frames, g.position, g.normal, g.weights)
+    reals = (g.light, g.eye, g.frames, g.position, g.normal, g.weights, g.dip)
     yield of_type(torch.float32, *reals), "light and points must be float32"
     yield of_type(torch.int32, g.near, g.first), "near and first must be int32"
     yield of_type(torch.int16, g.terms), "terms must be int16"
     yield of_type(torch.float16, g.values), "values must be float16"
-    kept = (g.position, g.normal, g.near, g.weights, g.terms, g.values, g.first)
+    kept = (g.position, g.normal, g.near, g.weights, g.dip, g.terms, g.values, g.first)
     yield contiguous(*kept), "points and slices must be contiguous"
     yield g.light.ndim == 3 and g.light.shape[2] <= CHANNELS, f"light must be (f, x, c), c at most {CHANNELS}"
     yield v % GROUP == 0, f"points must come in multiples of {GROUP}"
@@ -76,6 +76,7 @@ def _reflected_kernel(*arguments: Any) -> Tensor:
         "reflected",
         position=g.position,
         normal=g.normal,
+        dip=g.dip,
         frames=g.frames.contiguous(),
         eye=g.eye.contiguous(),
         weights=g.weights,
@@ -96,7 +97,7 @@ def _reflected_kernel(*arguments: Any) -> Tensor:
 
 _reflected = operator(
     "reflected(Tensor light, Tensor terms, Tensor values, int views, Tensor first, Tensor frames, Tensor position, "
-    "Tensor normal, Tensor near, Tensor weights, Tensor twist, Tensor eye) -> Tensor",
+    "Tensor normal, Tensor near, Tensor weights, Tensor twist, Tensor dip, Tensor eye) -> Tensor",
     plain=_reflected_plain,
     kernel=_reflected_kernel,
     conditions=_reflected_conditions,

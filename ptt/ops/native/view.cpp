@@ -54,10 +54,12 @@ static inline void harmonics(Lanes x, Lanes y, Lanes z, Lanes *out) {
     out[15] = 0.5900435899266435f * x * (x * x - 3.0f * y * y);
 }
 
-// Of a group of points: the direction to the eye, local; the axes of lobes, local (-along x, -along y, up), and what they
+// Of a group of points: which show highlights, and whether any does; the direction to the eye, local; the axes of lobes, local (-along x, -along y, up), and what they
 // are made of in the world: along times flat and up times normal.
 template <int K>
 struct Look {
+    Ints seen;
+    bool some;
     Lanes wo[3], flat[3], normal[3], rho[K + !K], along[K + !K], up[K + !K];
     Place cut[K + !K];
     Ints first[K + !K];  // word of the cuts
@@ -79,6 +81,8 @@ static inline void look(const View &g, int64_t v, Look<K> &at) {
         at.wo[r] = all(0);
         for (int c = 0; c < 3; ++c) at.wo[r] += (at.normal[c] = load(g.frame + (3 * r + c) * n + v)) * toward[c];
     }
+    at.seen = faces_eye(g, v, at.wo[2]), at.some = any(at.seen);
+    if (!at.some) return;
     if constexpr (K > 0) {
         for (int c = 0; c < 3; ++c) at.flat[c] = at.wo[2] * at.normal[c] - toward[c];
         const Lanes x = -at.wo[0], y = -at.wo[1];
@@ -103,6 +107,7 @@ static inline void look(const View &g, int64_t v, Look<K> &at) {
 // Asks for the words of the cuts of lane l: the first corner of each lobe, with which the others often share a tile.
 template <int K>
 static inline void fetch(const View &g, int64_t v, const Look<K> &at, int l) {
+    if (!at.some) return;
     const int32_t *cuts = g.cuts + (v + l) * g.cells * g.cells;
     for (int k = 0; k < K; ++k)
         if (at.lit[k]) __builtin_prefetch(cuts + at.first[k][l]);
@@ -155,6 +160,7 @@ static inline void reflect(const View &g, int64_t v, const Look<K> &at, Lanes *l
     for (int c = 0; c < 3; ++c) lit[c] = out[c];
 }
 
+// What a group sends out; of a group without highlights what is diffuse.
 template <int K>
 static inline void shade(const View &g, int64_t v, const Look<K> &at, int64_t later, const Look<K> &next) {
     const int w = g.width, o = g.factors;
@@ -162,20 +168,20 @@ static inline void shade(const View &g, int64_t v, const Look<K> &at, int64_t la
     const int16_t *q[3] = {sent, sent + g.rows * w, sent + 2 * g.rows * w};
     const float *own = g.unit + v / w * 3 * g.rows, *unit[3] = {own, own + g.rows, own + 2 * g.rows};
     const auto row = [=](int c, int x) { return unit[c][x] * load(q[c] + x * w); };
-    Lanes out[3] = {row(0, 0), row(1, 0), row(2, 0)};
+    Lanes out[3] = {row(0, 0), row(1, 0), row(2, 0)}, glossy[3] = {};
     if (g.colour)
         for (int c = 0; c < 3; ++c) out[c] *= load(g.colour + c * g.blocks * w + v);
-    if (o > 1) {
+    if (o > 1 && at.some) {
         Corners on = corners(at.wo[0], at.wo[1], g.disk, false);
         for (auto &cell : on.cell) cell *= o - 1;
         mix(g.outgoing, o - 1, on.cell, on.weight, [&](int f, Lanes factor) {
-            for (int c = 0; c < 3; ++c) out[c] += factor * row(c, 1 + f);
+            for (int c = 0; c < 3; ++c) glossy[c] += factor * row(c, 1 + f);
         });
     }
     if constexpr (K > 0) {
         Lanes lit[3] = {};
-        if (g.maps) reflect(g, v, at, lit);
-        if (!g.harmonics)
+        if (g.maps && at.some) reflect(g, v, at, lit);
+        if (!g.harmonics || !at.some)
             for (int l = 0; l < LANES; ++l) fetch(g, later, next, l);
         else {
             Lanes basis[HARMONICS], along = all(0), up = all(0);
@@ -191,29 +197,29 @@ static inline void shade(const View &g, int64_t v, const Look<K> &at, int64_t la
                 for (int c = 0; c < 3; ++c) lit[c] += blur * row(c, o + s);
             }
         }
-        for (int c = 0; c < 3; ++c) out[c] += lit[c] * g.specular[c];
+        for (int c = 0; c < 3; ++c) glossy[c] += lit[c] * g.specular[c];
     }
+    for (int c = 0; c < 3; ++c) out[c] += at.seen ? glossy[c] : all(0);
     for (int l = 0; l < LANES; ++l)
         for (int c = 0; c < 3; ++c) g.line[3 * (v + l) + c] = out[c][l];
 }
 
 template <int K>
 static void run(const View &g) {
-    const int64_t groups = g.blocks * g.width / LANES;
 #pragma omp parallel num_threads(g.threads)
     {
-        const int64_t t = omp_get_thread_num(), of = omp_get_num_threads();
-        const int64_t first = groups * t / of, end = groups * (t + 1) / of;
-        Look<K> at[1 + AHEAD];
-        for (int64_t i = first - AHEAD; i < end && first < end; ++i) {
-            const int64_t later = std::min(i + AHEAD, end - 1);
-            Look<K> &next = at[(i + AHEAD) % (1 + AHEAD)];
-            look(g, later * LANES, next);
-            if (i >= first) shade(g, i * LANES, at[i % (1 + AHEAD)], later * LANES, next);
-        }
-#pragma omp barrier
-        for (int64_t p = g.points * t / of; p < g.points * (t + 1) / of; ++p)
-            std::memcpy(g.out + 3 * p, g.line + 3 * g.place[p], 3 * sizeof(float));
+        by_parts(g.blocks * g.width / LANES, [&](int64_t first, int64_t end) {
+            Look<K> at[1 + AHEAD];
+            for (int64_t i = first - AHEAD; i < end; ++i) {
+                const int64_t later = std::min(i + AHEAD, end - 1);
+                Look<K> &next = at[(i + AHEAD) % (1 + AHEAD)];
+                look(g, later * LANES, next);
+                if (i >= first) shade(g, i * LANES, at[i % (1 + AHEAD)], later * LANES, next);
+            }
+        });
+        by_parts(g.points, [&](int64_t first, int64_t end) {
+            for (int64_t p = first; p < end; ++p) std::memcpy(g.out + 3 * p, g.line + 3 * g.place[p], 3 * sizeof(float));
+        });
     }
 }
 

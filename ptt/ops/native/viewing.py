@@ -17,9 +17,9 @@ from ptt.ops.relight import OutgoingLight
 from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion
 
 SCHEMA = (
-    "view(Tensor[] position, Tensor[] frame, Tensor?[] colour, Tensor[] cuts, Tensor[] place, Tensor[] eye, "
-    "Tensor[] values, Tensor[] unit, Tensor?[] which, Tensor?[] rho, Tensor?[] axes, Tensor?[] specular, "
-    "Tensor?[] maps, Tensor?[] turn, Tensor?[] blurs, Tensor outgoing) -> Tensor"
+    "view(Tensor[] position, Tensor[] frame, Tensor[] dip, Tensor?[] colour, Tensor[] cuts, Tensor[] place, "
+    "Tensor[] eye, Tensor[] values, Tensor[] unit, Tensor?[] which, Tensor?[] rho, Tensor?[] axes, "
+    "Tensor?[] specular, Tensor?[] maps, Tensor?[] turn, Tensor?[] blurs, Tensor outgoing) -> Tensor"
 )
 COLUMNS = (*SurfaceBlocks._fields, "eye", *OutgoingLight._fields, *LitLobes._fields)
 NO_LOBES = (None,) * len(LitLobes._fields)
@@ -40,8 +40,8 @@ def view(regions: Sequence[ViewedRegion], outgoing: Tensor) -> Tensor:
 def _regions(*columns: Sequence[Tensor | None]) -> list[ViewedRegion]:
     """The regions whose tensors are given column by column, in the order of the schema."""
     found = []
-    for position, frame, colour, cuts, place, eye, values, unit, *lobes in zip(*columns, strict=True):
-        points = SurfaceBlocks(position, frame, colour, cuts, place)
+    for position, frame, dip, colour, cuts, place, eye, values, unit, *lobes in zip(*columns, strict=True):
+        points = SurfaceBlocks(position, frame, dip, colour, cuts, place)
         gloss = None if lobes[0] is None else LitLobes(*lobes)
         found.append(ViewedRegion(points, eye, OutgoingLight(values, unit), gloss))
     return found
@@ -78,6 +78,7 @@ def _write(region: ViewedRegion, outgoing: Tensor, line: Tensor, out: Tensor) ->
         "view",
         position=points.position,
         frame=points.frame,
+        dip=points.dip,
         colour=points.colour,
         eye=eye.contiguous(),
         outgoing=outgoing,
@@ -116,10 +117,11 @@ def _conditions(*arguments: Sequence[Tensor | None]) -> Conditions:
 
 def _of_points(region: ViewedRegion, factors: int) -> Conditions:
     points, eye, (values, unit), _ = region
-    yield of_type(torch.float32, points.position, points.frame, points.colour, eye, unit), "points must be float32"
+    reals = (points.position, points.frame, points.dip, points.colour, eye, unit)
+    yield of_type(torch.float32, *reals), "points must be float32"
     yield of_type(torch.int16, values), "values must be int16, as the kernel of expand writes them"
     yield of_type(torch.int64, points.place), "place must be int64"
-    large = (points.position, points.frame, points.colour, unit, values, points.place)
+    large = (points.position, points.frame, points.dip, points.colour, unit, values, points.place)
     yield contiguous(*large), "points and values must be contiguous"
     yield values.ndim == 4 and values.shape[1] == 3, "values must be (b, 3, x, w)"
     b, _, rows, width = values.shape
@@ -127,7 +129,7 @@ def _of_points(region: ViewedRegion, factors: int) -> Conditions:
     yield width % GROUP == 0, f"blocks must hold a multiple of {GROUP} points"
     yield rows >= factors, "values must have a row for each outgoing factor"
     yield points.position.shape == (3, n), "position must be (3, n)"
-    yield points.frame.shape == (3, 3, n), "frame must be (3, 3, n)"
+    yield points.frame.shape == (3, 3, n) and points.dip.shape == (n,), "frame must be (3, 3, n), and dip (n,)"
     yield points.colour is None or points.colour.shape == (3, n), "colour must be (3, n)"
     yield eye.shape in ((3,), (3, n)), "eye must be (3,) or (3, n)"
     yield unit.shape == values.shape[:3], "unit must be (b, 3, x)"
@@ -156,7 +158,7 @@ def _of_lobes(gloss: LitLobes, cuts: Tensor, harmonics: int) -> Conditions:
 def _fake(*arguments: Sequence[Tensor]) -> Tensor:
     outgoing = arguments[-1]
     assert isinstance(outgoing, Tensor)
-    place, values = arguments[4], arguments[6]
+    place, values = arguments[COLUMNS.index("place")], arguments[COLUMNS.index("values")]
     return outgoing.new_empty(sum(len(p) for p in place), values[0].shape[1])
 
 

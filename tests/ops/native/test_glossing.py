@@ -45,7 +45,8 @@ def inputs(
     g = torch.Generator().manual_seed(1000 * lobes + 100 * lamps + n)
     frame = rotations(n, g).permute(1, 2, 0).contiguous()
     place = torch.randperm(n, generator=g)[: n - 5]
-    points = SurfaceBlocks(torch.randn(3, n, generator=g), frame, None, torch.empty(0), place)
+    dip = torch.rand(n, generator=torch.Generator().manual_seed(lobes))
+    points = SurfaceBlocks(torch.randn(3, n, generator=g), frame, dip, None, torch.empty(0), place)
     axes = torch.randn(1, lobes, 3, generator=g) + 0.2 * torch.randn(turns * TILTS, lobes, 3, generator=g)
     level = torch.empty(turns * TILTS, lobes, 1).uniform_(*levels, generator=g).clamp(0, LEVELS - 1)
     table = torch.cat((axes, level, torch.rand(turns * TILTS, lobes, 3, generator=g)), 2)
@@ -275,7 +276,7 @@ def test_gradients_pass() -> None:
 @pytest.mark.parametrize("lamps", [0, 1, 9])
 def test_reflected_lamps_agree(built: None, lamps: int, hidden: bool, distant: bool) -> None:
     x = inputs(1, lamps, distant=distant)
-    given = [x.points.position, x.points.frame, x.eye, x.gloss.values, x.light.lamps, x.light.powers]
+    given = [x.points.position, x.points.frame, x.points.dip, x.eye, x.gloss.values, x.light.lamps, x.light.powers]
     given += [x.light.through] if hidden else []
     with native.refusals() as found:
         got = native.reflected_lamps(*given)
@@ -288,7 +289,7 @@ def test_reflected_lamps_agree(built: None, lamps: int, hidden: bool, distant: b
 @pytest.mark.parametrize("turns", [2, cells.TURNS])
 def test_lamps_reflected_by_anisotropic_materials_agree(built: None, turns: int) -> None:
     x = inputs(1, 4, turns=turns)
-    given = [x.points.position, x.points.frame, x.eye, x.gloss.values, x.light.lamps, x.light.powers]
+    given = [x.points.position, x.points.frame, x.points.dip, x.eye, x.gloss.values, x.light.lamps, x.light.powers]
     with native.refusals() as found:
         got = native.reflected_lamps(*given)
     assert not found

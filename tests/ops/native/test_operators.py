@@ -83,6 +83,7 @@ def view() -> None:
     surface = SurfaceBlocks(
         uniform(3, n),
         torch.eye(3)[:, :, None].repeat(1, 1, n),
+        uniform(n),
         None,
         torch.randint(0, 2**31, (n, 64), generator=generator()).int(),
         torch.randperm(n, generator=generator())[: n - 3],
@@ -107,7 +108,7 @@ def shine() -> None:
     n = 32
     seen = torch.randint(0, 2**31, (n, words_of(BITS)), generator=generator()).int()
     frame = torch.eye(3)[:, :, None].repeat(1, 1, n)
-    surface = SurfaceBlocks(uniform(3, n), frame, None, torch.empty(0), torch.arange(n - 3))
+    surface = SurfaceBlocks(uniform(3, n), frame, uniform(n), None, torch.empty(0), torch.arange(n - 3))
     gloss = Gloss(
         Lobes(uniform(TILTS, 3, 7), 1),
         uniform(TILTS, RINGS, SECTORS, 3),
@@ -133,7 +134,14 @@ def shine() -> None:
     for lamps, other in ((0, None), (2, around)):
         light = GlossLight(maps, torch.eye(3), uniform(lamps, 3), uniform(lamps, 3), uniform(lamps, n))
         native.shine(surface, torch.tensor([0.2, 0.4, 5.0]), seen, gloss, light, other, uniform(3, n))
-    lit = (frame, torch.tensor([0.2, 0.4, 5.0]), uniform(TILTS, RINGS, SECTORS, 3), uniform(2, 3), uniform(2, 3))
+    lit = (
+        frame,
+        uniform(n),
+        torch.tensor([0.2, 0.4, 5.0]),
+        uniform(TILTS, RINGS, SECTORS, 3),
+        uniform(2, 3),
+        uniform(2, 3),
+    )
     native.reflected_lamps(surface.position, *lit)
     native.reflected_lamps(surface.position, *lit, uniform(2, n))
     native.lamp_visibility(seen, torch.arange(8).reshape(2, 4), uniform(2, 4))

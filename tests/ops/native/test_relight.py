@@ -32,7 +32,7 @@ def inputs(
     cuts = torch.randint(-(2**31), 2**31, (n, 64), generator=g).int()
     place = torch.randperm(n, generator=g)[: n - 5]
     colour = None if white else torch.rand(3, n, generator=g)
-    points = SurfaceBlocks(torch.randn(3, n, generator=g), frame, colour, cuts, place)
+    points = SurfaceBlocks(torch.randn(3, n, generator=g), frame, torch.rand(n, generator=g), colour, cuts, place)
     eye = torch.nn.functional.normalize(torch.randn(3, n, generator=g), dim=0) if distant else torch.ones(3)
     rho = torch.rand(turns * TILTS, k, generator=g)
     axes = 0.1 + torch.rand(TILTS, 2 * k, generator=g)

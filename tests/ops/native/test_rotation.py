@@ -96,7 +96,8 @@ def view(count: int, views: int = 8, twists: int = 1) -> tuple[Tensor, Slices, T
     shape = BlinnPhong(20.0) if twists == 1 else Ward(0.1, 0.3)
     cut = slices.tabulate(shape.evaluate, 4, views, 10, twists=twists)
     q, _ = torch.linalg.qr(torch.randn(count, 3, 3, generator=g))
-    at = slices.located(torch.randn(count, 3, generator=g), q * q.det().sign()[:, None, None], sampled)
+    dip = torch.rand(count, generator=g)
+    at = slices.located(torch.randn(count, 3, generator=g), q * q.det().sign()[:, None, None], sampled, dip)
     light = torch.rand(16, 16, 4, generator=g)
     return light, cut, slices.first_slice(cut, at.twist), sampled, at
 
