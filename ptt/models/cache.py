@@ -35,6 +35,16 @@ class Watch:
         return all(map(operator.is_, self.tensors, other.tensors))
 
 
+class Kept:
+    """A result that a cache keeps, which nobody writes to: equal to itself alone."""
+
+    def __init__(self, result: Any) -> None:
+        self.result = result
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Kept) and other.result is self.result
+
+
 @opaque
 def watched(*modules: nn.Module) -> Watch:
     """The buffers of modules, without those of modules inside of them."""
@@ -65,6 +75,10 @@ class Cache:
         result = outside(compute)
         self._kept = ((stamp, result), *self._kept[: self._most - 1])
         return result
+
+    def named(self, result: Any) -> Any:
+        """A result as inputs of another cache tell it from others: by what it is where it is kept, else by itself."""
+        return Kept(result) if any(result is kept for _, kept in self._kept) else result
 
 
 @opaque

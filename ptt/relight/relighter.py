@@ -102,7 +102,7 @@ class Relighter(nn.Module, ABC):
     def exitant(self, environment: Any, materials: Mapping[str, Any], points: Any = None) -> Any:
         """The result of the BRDF step, which depends on the light and the materials (of every region, in order)."""
         incident = self.incident(environment)
-        inputs = incident, dict(materials), watched(*self.sources()), points
+        inputs = self._incident.named(incident), dict(materials), watched(*self.sources()), points
         return self._exitant(inputs, partial(self.brdf_step, incident, list(materials.values()), points))
 
     def chosen(self, materials: Mapping[str, Any]) -> dict[str, Any]:
