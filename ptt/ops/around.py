@@ -28,14 +28,11 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from ptt.ops.cells import FEW, NARROWEST
+from ptt.ops.cells import FEW, SHARPNESS
 from ptt.ops.constants import CLOSE, HEAD_ON, LEVELS, MEETS, NORMAL, NOTHING, SPREAD, TILTS
-from ptt.ops.hemispheres import visible
+from ptt.ops.hemispheres import split
 from ptt.ops.octahedral import corners, from_octahedral, hemi_octahedral
 from ptt.ops.view import blurred
-
-SHARPNESS = (3 / math.radians(NARROWEST)) ** 2
-"""The inverse variance of a lobe of level 1, of which a level more is half."""
 
 BLUR = math.radians(2) ** 2
 """What the variance of a lobe is larger by where lamps are seen by way of another point, since the normal there is
@@ -209,9 +206,11 @@ def _reflected(
     axes = table[..., :3] @ torch.stack((along, across, mirror), 1)  # shape: (m, j, 3)
     level = table[..., 3].detach().round()
     row_seen = met.record[:, 9].long()
-    through = (visible(around.seen[row_seen], axes, level) * (axes[..., 2] > 0))[..., None]
-    world = axes @ met.record[:, :9].unflatten(-1, (3, 3))
-    light = torch.lerp(surfaces(axes, world), blurred(around.maps, world @ turn, level), through)
+    frame = met.record[:, :9].unflatten(-1, (3, 3))
+    sky = split(around.seen[row_seen], axes, level)
+    through = (sky.share * (axes[..., 2] > 0))[..., None]
+    world = axes @ frame
+    light = torch.lerp(surfaces(axes, world), blurred(around.maps, sky.seen @ frame @ turn, level), through)
     if len(around.lamps):
         about = 1 / (torch.exp2(level - 1)[..., None] / SHARPNESS + BLUR)
         lobe = about / (2 * math.pi) * torch.exp(about * (world @ around.lamps.T - 1))

@@ -23,6 +23,7 @@ from ptt.ops.constants import HEAD_ON, LEVELS, PARTS, RINGS, ROW, SECTORS, SHARP
 from ptt.ops.transforms import beneath, outside
 
 NARROWEST = 3.5  # degrees that the lobe of level 1 covers (three standard deviations); that of level 0 is a cell
+SHARPNESS = (3 / math.radians(NARROWEST)) ** 2  # the inverse variance of a lobe of level 1; a level more halves it
 TURNS = 24  # azimuths of wo of an anisotropic f
 WIDENED = 1.1  # in a trial on ten shapes under three maps, the standard deviation of a lobe over that of its cell
 ROUNDS = 4  # of Lloyd's algorithm from one cosine to the next

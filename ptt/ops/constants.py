@@ -41,6 +41,12 @@ WIDE_SIDE = 16
 WIDEST_SIDE = 8
 """The same for lobes of 28 degrees."""
 
+LEAST_SHARE = 0.05
+"""Of a lobe, the smallest part that has a mean direction of its own: what maps of bytes know of less is noise."""
+
+FURTHEST = 1.5
+"""Standard deviations of a lobe between its axis and the mean direction of a part of it, at most."""
+
 MEETS = 24
 """Cells along the edge of the map of which points a point sees."""
 

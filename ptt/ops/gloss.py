@@ -7,7 +7,8 @@ w_n, a_n and s_n are the weights, axes and widths of a material's lobes (`ops.ce
 (`levels`), V_v the share of it that point v sees. What is small and bright in the light, lamps of power P_m, is
 reflected by f itself; V_vm is how much of it is seen, the same from wherever one looks.
 
-y_n is the point that v sees along a_n, and what it sends to v is that of `ptt.ops.around`.
+y_n is the point that v sees along a_n, and what it sends to v is that of `ptt.ops.around`. E is looked up about the
+mean direction of what v sees of the lobe, and y_n about that of what it does not (`ops.hemispheres`).
 
 Sun et al. 2007, section 4.1, has up to four lobes about common axes, of at most 21 degrees, and a tensor for the rest.
 """
@@ -26,14 +27,14 @@ from ptt.ops.around import Around, alone, close, from_points
 from ptt.ops.cells import Gloss, frames, octaves
 from ptt.ops.constants import SECTORS, SHARPEST, TILTS, TINY
 from ptt.ops.directions import faces_eye
-from ptt.ops.hemispheres import Between, visible, visible_between
+from ptt.ops.hemispheres import Between, SplitLobes, split, split_between
 from ptt.ops.octahedral import mix
 from ptt.ops.view import SurfaceBlocks, blurred, local_directions
 
 AT_ONCE = 4096  # points that are worked out together, so that they stay in the cache
 
-Sky = Callable[[Tensor, Tensor], Tensor]
-"""The share (n, k) that points see of lobes about local axes (n, k, 3) at levels (n, k)."""
+Sky = Callable[[Tensor, Tensor], SplitLobes]
+"""What points see of lobes about local axes (n, k, 3) at levels (n, k), all in local directions."""
 
 
 class GlossLight(NamedTuple):
@@ -120,9 +121,15 @@ def lamp_visibility(visible: Tensor, cells: Tensor, shares: Tensor) -> Tensor:
 def _sky(seen: Tensor, frame: Tensor, some: slice, between: Between | None) -> Sky:
     """What some points see of the sky, with frames (n, 3, 3)."""
     if between is None:
-        return partial(visible, seen[some])
+        return partial(split, seen[some])
     own = between._replace(rows=between.rows[some], weights=between.weights[some])
-    return lambda axes, level: visible_between(seen, own, axes @ frame[some], level)
+    here = frame[some]
+
+    def sky(axes: Tensor, level: Tensor) -> SplitLobes:
+        share, *parts = split_between(seen, own, axes @ here, level)
+        return SplitLobes(share, *(part @ here.transpose(1, 2) for part in parts))
+
+    return sky
 
 
 def _shine(gloss: Gloss, light: GlossLight, frame: Tensor, sky: Sky, wo: Tensor, around: Around | None) -> Tensor:
@@ -132,14 +139,14 @@ def _shine(gloss: Gloss, light: GlossLight, frame: Tensor, sky: Sky, wo: Tensor,
     row = mix(table.flatten(1), index, weights).unflatten(1, table.shape[1:])  # shape: (n, lobes, 4 + c)
     level = row[..., 3]
     axes = row[..., :3] @ frames(wo)
-    through = sky(axes, level)
-    about = blurred(light.maps, axes @ frame @ light.turn, level)
+    through, seen, hidden = sky(axes, level)
+    about = blurred(light.maps, seen @ frame @ light.turn, level)
     about = about * through[..., None]
     if around is not None:
         spread = (level - alone(row.shape[1])).clamp(0, 1)[..., None]
         much = (row[..., 4:].mean(2) * (1 - through)).detach() / close(row.shape[1])
         closely = (much - 1).clamp(0, 1) * (alone(row.shape[1]) - level).detach().clamp(0, 1)
-        surfaces = from_points(around, frame, axes, light.turn, closely)
+        surfaces = from_points(around, frame, hidden, light.turn, closely)
         surfaces = torch.lerp(surfaces, around.mean.T[:, None], spread)
         about = about + surfaces * (1 - through)[..., None]
     out: Tensor = (row[..., 4:] * about).sum(1)

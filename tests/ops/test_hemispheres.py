@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 import ptt
-from ptt.ops import hemispheres, rotation, transfer
+from ptt.ops import cells, hemispheres, rotation, transfer
 from ptt.ops.constants import BITS
 from ptt.ops.hemispheres import SHARES, Between
 from ptt.ops.octahedral import HemiOctahedral
@@ -47,8 +47,37 @@ def test_one_place_sees_what_it_sees() -> None:
     seen = behind_a_wall(frames)
     local = normalize(torch.rand(7, 5, 3, generator=random()) + 0.2, dim=2)
     between = Between(torch.arange(7)[:, None].int(), torch.ones(7, 1), frames)
-    got = hemispheres.visible_between(seen, between, local @ frames, LEVELS.expand(7, 5))
-    torch.testing.assert_close(got, hemispheres.visible(seen, local, LEVELS.expand(7, 5)), rtol=0, atol=1e-5)
+    got = hemispheres.split_between(seen, between, local @ frames, LEVELS.expand(7, 5))
+    expected = hemispheres.split(seen, local, LEVELS.expand(7, 5))
+    torch.testing.assert_close(got.share, expected.share, rtol=0, atol=1e-5)
+    torch.testing.assert_close(got.seen, expected.seen @ frames, rtol=0, atol=1e-5)
+    torch.testing.assert_close(got.hidden, expected.hidden @ frames, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("level", [5.0, 7.0])
+def test_the_parts_of_a_lobe_that_a_wall_cuts(level: float) -> None:
+    """Of a Gaussian whose middle is t standard deviations s before the edge, what is seen lies s n(t) / N(t) further
+    from it, and what is hidden s n(t) / N(-t) behind, with n and N the normal density and distribution (means of the
+    two parts of a Gaussian); within 0.3 s, for maps of cells of 10 and 20 degrees. A whole lobe stays."""
+    s = math.radians(cells.width(level)) / 3
+    along = normalize(torch.tensor([-0.3, 1.0, 0.0]), dim=0)  # the edge, at the horizon
+    middle = torch.linalg.cross(WALL, along)
+    t = torch.tensor([-1.0, -0.5, 0.0, 0.5, 1.0, 4.0])
+    axes = (torch.cos(s * t)[:, None] * middle + torch.sin(s * t)[:, None] * WALL)[None]
+    frame = torch.eye(3)[None]
+    got = hemispheres.split(behind_a_wall(frame, 128), axes, torch.full((1, 6), level))
+    moved = [((part - axes) @ WALL)[0] / s for part in (got.seen, got.hidden)]
+    density = torch.exp(-t * t / 2) / math.sqrt(2 * math.pi)
+    assert float((moved[0] - density / torch.special.ndtr(t)).abs().max()) < 0.3
+    assert float((moved[1] + density / torch.special.ndtr(-t))[:5].abs().max()) < 0.3
+    assert float((got.seen - axes)[0, 5].norm()) < 0.02 * s
+
+
+def test_sharp_lobes_stay_where_they_are() -> None:
+    """The maps of wide lobes know nothing of them."""
+    axes = normalize(torch.randn(3, 40, 3, generator=random()) + torch.tensor([0.0, 0.0, 1.0]), dim=2)
+    got = hemispheres.split(behind_a_wall(leaning(3, 0.2)), axes, torch.ones(3, 40))
+    assert torch.equal(got.seen, axes) and torch.equal(got.hidden, axes)
 
 
 def test_places_that_lean_apart_agree_about_the_world() -> None:
@@ -58,9 +87,8 @@ def test_places_that_lean_apart_agree_about_the_world() -> None:
     rows = torch.randint(30, (200, 3), generator=random()).int()
     weights = torch.rand(200, 3, generator=random(2))
     axes = normalize(torch.randn(200, 8, 3, generator=random(3)) + torch.tensor([0.0, 0.0, 1.5]), dim=2)
-    got = hemispheres.visible_between(
-        seen, Between(rows, weights / weights.sum(1, keepdim=True), frames), axes, torch.ones(200, 8)
-    )
+    between = Between(rows, weights / weights.sum(1, keepdim=True), frames)
+    got = hemispheres.split_between(seen, between, axes, torch.ones(200, 8)).share
     height = (axes[:, None] @ frames[rows][:, :, 2, :, None])[..., 0].amax(1)
     clear = (axes @ WALL).abs() > math.radians(3)
     certain = clear & (height > hemispheres.RISEN)
@@ -75,7 +103,7 @@ def test_a_place_knows_nothing_of_what_lies_below_its_horizon() -> None:
     seen = torch.cat((open_sky, torch.zeros_like(open_sky)))  # the second sees nothing
     between = Between(torch.tensor([[0, 1]]).int(), torch.tensor([[0.5, 0.5]]), torch.stack((up, side)))
     axes = normalize(torch.tensor([[[0.6, 0.0, 0.8], [-0.6, 0.0, 0.8], [0.6, 0.0, -0.8]]]), dim=2)
-    got = hemispheres.visible_between(seen, between, axes, torch.ones(1, 3))
+    got = hemispheres.split_between(seen, between, axes, torch.ones(1, 3)).share
     torch.testing.assert_close(got, torch.tensor([[1.0, 0.5, 0.0]]))
 
 

@@ -21,13 +21,16 @@ constexpr int RING = 3 * SECTORS, WHOLE = RINGS * RING;  // numbers of f
 struct Lobe {
     Lanes local[3];     // its axis
     Lanes a, b, level;  // where that lies on maps of the hemisphere, and how wide it is
+    Lanes seen;         // the share of it that is seen
     Ints first;         // number of the maps of light, and how far on to the right, down, and to the next level
     Lanes x, y, next;
-    Lanes seen;         // the share of it that gets through
+    Lanes dark[3];      // the mean direction of what is hidden, and where that lies on maps of the hemisphere
+    Lanes dark_a, dark_b;
     Ints pair, second;  // words of two cells of what else is seen, and which of the two
 };
 
-// Of a group of points: which the eye sees (`faces_eye`), and whether any; the local direction to it, and unit (u, v) along it as seen from above; the row of tables
+// Of a group of points: which the eye sees (`faces_eye`), and whether any; the local direction to it, and unit (u, v)
+// along it as seen from above; the row of tables
 // below it, and the share of the row above; of anisotropic f, the first rows of two azimuths, and the share of the
 // next.
 struct Stand {
@@ -37,9 +40,10 @@ struct Stand {
     Ints row, turn, next;
 };
 
-// Of the same: how much there is of the material, channel by channel, none where it is not seen; its lobes.
+// Of the same: how much there is of the material, channel by channel, none where it is not seen; from local directions
+// to those of the maps of light; its lobes.
 struct Look : Stand {
-    Lanes material[3];
+    Lanes material[3], to_map[3][3];
     Corner corners[CORNERS];
     Lobe lobes[MOST_CELLS];
     float rows[LANES][COLUMNS * MOST_CELLS + GROUP];
@@ -60,16 +64,22 @@ static inline void flattened(const Lanes *wo, Lanes &u, Lanes &v) {
     v = s < HEAD_ON ? all(0) : wo[1] / most(s, all(HEAD_ON));
 }
 
-static inline void find(const Shine &g, const Look &at, const Lanes (&turned)[3][3], int k, Lobe &lobe) {
-    Lanes row[4], d[3];  // along, across, mirror, level
+static inline void find(const Look &at, int k, Lobe &lobe) {
+    Lanes row[4];  // along, across, mirror, level
     gather_four(at.rows[0] + COLUMNS * k, lane() * (int)(sizeof *at.rows / sizeof **at.rows), row);
-    Lanes(&local)[3] = lobe.local;
-    axis_of(row, at.wo, at.u, at.v, local);
-    for (int c = 0; c < 3; ++c) d[c] = local[0] * turned[0][c] + local[1] * turned[1][c] + local[2] * turned[2][c];
+    axis_of(row, at.wo, at.u, at.v, lobe.local);
+    hemi_octahedral(lobe.local, lobe.a, lobe.b), lobe.level = row[3];
+}
+
+// Finds the light of a lobe, of which a part is seen, about that part's mean direction.
+static inline void find_light(const Shine &g, const Look &at, const Share &part, Lanes along, Lobe &lobe) {
+    Lanes local[3], d[3];
+    for (int r = 0; r < 3; ++r) local[r] = lobe.local[r] + along * part.gradient[r];
+    for (int c = 0; c < 3; ++c)
+        d[c] = local[0] * at.to_map[0][c] + local[1] * at.to_map[1][c] + local[2] * at.to_map[2][c];
     const Place on = place_on_sphere(d, g.map);
-    const Ints below = clamp(whole(row[3]), LEVELS - 2);
-    hemi_octahedral(local, lobe.a, lobe.b);
-    lobe.level = row[3], lobe.next = row[3] - real(below);
+    const Ints below = clamp(whole(lobe.level), LEVELS - 2);
+    lobe.next = lobe.level - real(below);
     lobe.first = ((below * g.map + on.row) * g.map + on.column) * CHANNELS, lobe.x = on.x, lobe.y = on.y;
 }
 
@@ -119,8 +129,7 @@ static inline void mix_rows(const float *below, float share, int columns, float 
 }
 
 static inline void look(const Shine &g, int64_t v, Look &at) {
-    Lanes to_map[3][3];
-    for (int r = 0; r < 3; ++r) turned(at.frame[r], g.turn, to_map[r]);
+    for (int r = 0; r < 3; ++r) turned(at.frame[r], g.turn, at.to_map[r]);
     for (int j = 0; j < g.each; ++j) {
         const Ints row = (Ints)gather((const float *)g.rows + v * g.each + j, g.each * lane());
         Corner &corner = at.corners[j];
@@ -136,7 +145,7 @@ static inline void look(const Shine &g, int64_t v, Look &at) {
         mix_rows(g.table + (at.row[l] + at.next[l]) * columns, at.share[l], columns, next);
         for (int i = 0; i < columns; ++i) at.rows[l][i] += at.onward[l] * (next[i] - at.rows[l][i]);
     }
-    for (int k = 0; k < g.lobes; ++k) find(g, at, to_map, k, at.lobes[k]);
+    for (int k = 0; k < g.lobes; ++k) find(at, k, at.lobes[k]);
 }
 
 // Light E about directions in the frame of the map, of the nearest of the widths (ptt.ops.view.blurred)
@@ -178,36 +187,53 @@ static inline void cell_of(Lanes a, Lanes b, Ints &pair, Ints &second) {
     pair = (row * MEETS + column) / 2 * 3, second = column & 1;
 }
 
-// How much of the sky a group sees by a lobe, between places (ptt.ops.hemispheres.visible_between).
-static inline Lanes sky_between(const Shine &g, const Look &at, const Lobe &lobe) {
-    const Layout of(g.bits);
-    Lanes d[3], total = all(0), counts = all(0);
-    for (int c = 0; c < 3; ++c)
-        d[c] = lobe.local[0] * at.frame[0][c] + lobe.local[1] * at.frame[1][c] + lobe.local[2] * at.frame[2][c];
-    for (int j = 0; j < g.each; ++j) {
-        const Corner &corner = at.corners[j];
-        Lanes height, a, b;
-        const Lanes share = corner.weight * risen(corner.frame + 6, d, g.rise, height);
-        if (!any(share > 0)) continue;
-        local_at(corner.frame, d, height, a, b);
-        total += share * visible(g.seen, of, corner.from, a, b, lobe.level), counts += share;
-    }
-    return total / most(counts, all(TINY));
+// x of local coordinates in the world, by a frame of three rows
+static inline void in_world(const Lanes *x, const Lanes (&frame)[3][3], Lanes *out) {
+    for (int c = 0; c < 3; ++c) out[c] = x[0] * frame[0][c] + x[1] * frame[1][c] + x[2] * frame[2][c];
 }
 
-// How much of the sky a group sees by each lobe; asks for what hides the rest.
+// What a group sees of a lobe, between places (ptt.ops.hemispheres.split_between).
+static inline Share share_between(const Shine &g, const Look &at, const Lobe &lobe) {
+    const Layout of(g.bits);
+    Lanes d[3], gradient[3] = {}, counts = all(0);
+    Share total = {all(0), all(0), {}};
+    in_world(lobe.local, at.frame, d);
+    for (int j = 0; j < g.each; ++j) {
+        const Corner &corner = at.corners[j];
+        Lanes height, local[3], a, b;
+        const Lanes weight = corner.weight * risen(corner.frame + 6, d, g.rise, height), *frame = corner.frame;
+        if (!any(weight > 0)) continue;
+        local_at(frame, d, height, local), hemi_octahedral(local, a, b);
+        const Share own = share_of(g.seen, of, corner.from, local, a, b, lobe.level);
+        total.seen += weight * own.seen, total.smooth += weight * own.smooth, counts += weight;
+        for (int c = 0; c < 3; ++c)
+            gradient[c] += weight * (own.gradient[0] * frame[c] + own.gradient[1] * frame[3 + c] +
+                                     own.gradient[2] * frame[6 + c]);
+    }
+    const Lanes scale = 1.0f / most(counts, all(TINY));
+    total.seen *= scale, total.smooth *= scale;
+    for (int r = 0; r < 3; ++r)
+        for (int c = 0; c < 3; ++c) total.gradient[r] += scale * at.frame[r][c] * gradient[c];
+    return total;
+}
+
+// What a group sees by each lobe: how much of the sky, and its light; asks for what hides the rest.
 static inline void see(const Shine &g, int64_t v, int64_t later, Look &at) {
     const Layout of(g.bits);
     for (int k = 0; k < g.lobes; ++k) {
         Lobe &lobe = at.lobes[k];
-        if (g.each) {
-            lobe.seen = sky_between(g, at, lobe);
-            continue;
-        }
-        fetch(g, later, k, g.lobes);
-        lobe.seen = visible(g.seen + v * of.all, of, lane() * of.all, lobe.a, lobe.b, lobe.level);
+        if (!g.each) fetch(g, later, k, g.lobes);
+        const uint8_t *own = g.seen + v * of.all;
+        const Share share = g.each ? share_between(g, at, lobe)
+                                   : share_of(own, of, lane() * of.all, lobe.local, lobe.a, lobe.b, lobe.level);
+        Lanes to_seen, to_hidden;
+        parts_of(share, lobe.level, g.sharpness, to_seen, to_hidden);
+        find_light(g, at, share, to_seen, lobe);
+        lobe.seen = share.seen;
         if (!g.meets || !any((1.0f - lobe.seen > CLEAR) & (lobe.level < g.alone + 1))) continue;
-        cell_of(lobe.a, lobe.b, lobe.pair, lobe.second);
+        for (int r = 0; r < 3; ++r) lobe.dark[r] = lobe.local[r] - to_hidden * share.gradient[r];
+        hemi_octahedral(lobe.dark, lobe.dark_a, lobe.dark_b);
+        cell_of(lobe.dark_a, lobe.dark_b, lobe.pair, lobe.second);
         lobe.pair += lane() * MET;
         ask(g.meets + v * MET, 4 * lobe.pair);
     }
@@ -248,8 +274,13 @@ static inline void between_normals(const int32_t *meets, Ints from, Lanes a, Lan
 // A lobe by which a group of met points reflects: its axis, local as (a, b) and height, and in the world; its level,
 // and w of each channel.
 struct Part {
-    Lanes a, b, height, axis[3], w[3];
+    Lanes a, b, local[3], axis[3], w[3];
     Ints level;
+};
+
+// What it sees of the sky: how much, and the mean direction of that.
+struct Sky {
+    Lanes through, axis[3];
 };
 
 // Of met points: their rows of what all see and of tables, and unit frames, rows in the world.
@@ -270,7 +301,7 @@ static inline void records_of(const Shine &g, const Met &met, Records &of) {
 
 // A lobe of a row of a table (ptt.ops.around._reflected).
 static inline void part_of(const Shine &g, const Met &met, const Records &of, const float *tables, Ints at, Part &p) {
-    Lanes t[8], flat[3], across[3], local[3], square = all(0), cosine = all(0);
+    Lanes t[8], flat[3], across[3], square = all(0), cosine = all(0);
     for (int i = 0; i < 8; i += 4) gather_four(tables + i, at, t + i);
     const Lanes *n = met.normal;
     for (int c = 0; c < 3; ++c) cosine += n[c] * met.wo[c];
@@ -281,9 +312,9 @@ static inline void part_of(const Shine &g, const Met &met, const Records &of, co
     const Lanes of_flat = t[0] * cosine / sine - t[2], of_normal = t[0] * sine + t[2] * cosine;
     for (int c = 0; c < 3; ++c) p.axis[c] = of_flat * flat[c] + t[1] * across[c] + of_normal * n[c], p.w[c] = t[4 + c];
     for (int r = 0; r < 3; ++r)
-        local[r] = of.frame[3 * r] * p.axis[0] + of.frame[3 * r + 1] * p.axis[1] + of.frame[3 * r + 2] * p.axis[2];
-    hemi_octahedral(local, p.a, p.b);
-    p.height = local[2], p.level = clamp(whole(t[3] + 0.5f), LEVELS - 1);
+        p.local[r] = of.frame[3 * r] * p.axis[0] + of.frame[3 * r + 1] * p.axis[1] + of.frame[3 * r + 2] * p.axis[2];
+    hemi_octahedral(p.local, p.a, p.b);
+    p.level = clamp(whole(t[3] + 0.5f), LEVELS - 1);
     const Layout seen(g.bits);
     const Ints first = of.row * seen.all;
     if (any(p.level < 5)) ask(g.all_seen, first + place(p.a, p.b, g.bits).row * (g.bits / 8));
@@ -292,20 +323,25 @@ static inline void part_of(const Shine &g, const Met &met, const Records &of, co
     if (any(p.level > 5)) ask(g.all_seen, first + seen.widest);
 }
 
-// How much of the sky a lobe of met points sees.
-static inline Lanes sky_of(const Shine &g, const Records &of, const Part &p) {
+// What a lobe of met points sees of the sky.
+static inline Sky sky_of(const Shine &g, const Records &of, const Part &p) {
     const Layout layout(g.bits);
-    const Lanes seen = visible(g.all_seen, layout, of.row * layout.all, p.a, p.b, real(p.level));
-    return p.height > 0 ? seen : all(0);
+    const Share share = share_of(g.all_seen, layout, of.row * layout.all, p.local, p.a, p.b, real(p.level));
+    Sky sky = {p.local[2] > 0 ? share.seen : all(0), {p.axis[0], p.axis[1], p.axis[2]}};
+    Lanes to_seen, to_hidden;
+    parts_of(share, real(p.level), g.sharpness, to_seen, to_hidden);
+    for (int r = 0; r < 3; ++r)
+        for (int c = 0; c < 3; ++c) sky.axis[c] += to_seen * share.gradient[r] * of.frame[3 * r + c];
+    return sky;
 }
 
-// Adds what a lobe reflects, where `through` of the sky is seen, and surfaces that send some light.
+// Adds what a lobe reflects, of the sky and of surfaces that send some light.
 static inline void reflect_part(
-    const Shine &g, const Records &of, const Part &p, Lanes through, const Lanes *surfaces, Lanes *out) {
+    const Shine &g, const Records &of, const Part &p, const Sky &sky, const Lanes *surfaces, Lanes *out) {
     Lanes d[3], e[3];
-    turned(p.axis, g.turn, d);
+    turned(sky.axis, g.turn, d);
     light_at(g.rest, g.map, d, p.level, e);
-    for (int c = 0; c < 3; ++c) e[c] = surfaces[c] + through * (e[c] - surfaces[c]);
+    for (int c = 0; c < 3; ++c) e[c] = surfaces[c] + sky.through * (e[c] - surfaces[c]);
     lamps_in(g, p.axis, p.level, of.row, e);
     for (int c = 0; c < 3; ++c) out[c] += p.w[c] * e[c];
 }
@@ -334,9 +370,7 @@ static inline void find_others(const Shine &g, int64_t v, const Look &at, Others
     o.spread = least(most(o.lobe->level - g.alone, all(0)), all(1));
     o.met.there = (o.hidden > CLEAR) & (o.spread < 1);
     if (!any(o.met.there)) return;
-    const Lanes *own = o.lobe->local;
-    for (int c = 0; c < 3; ++c)
-        o.world[c] = own[0] * at.frame[0][c] + own[1] * at.frame[1][c] + own[2] * at.frame[2][c];
+    in_world(o.lobe->dark, at.frame, o.world);
     const Lanes length = root(o.world[0] * o.world[0] + o.world[1] * o.world[1] + o.world[2] * o.world[2]);
     for (int c = 0; c < 3; ++c) o.world[c] /= most(length, all(TINY));
     const int32_t *from = g.meets + v * MET;
@@ -407,9 +441,9 @@ static inline void take_parts(const Shine &g, int64_t v, Pairs &pairs, float (*s
     for (int j = 0; j < PARTS; ++j) part_of(g, met, of, g.parts, (of.table * PARTS + j) * ROW, parts[j]);
     for (int j = 0; j < PARTS; ++j) {
         Lanes surfaces[3];
-        const Lanes through = sky_of(g, of, parts[j]);
-        beyond(g, of, parts[j], through, met.there, surfaces);
-        reflect_part(g, of, parts[j], through, surfaces, out);
+        const Sky sky = sky_of(g, of, parts[j]);
+        beyond(g, of, parts[j], sky.through, met.there, surfaces);
+        reflect_part(g, of, parts[j], sky, surfaces, out);
     }
     for (int c = 0; c < 3; ++c) {
         const Lanes some = met.there ? out[c] * load(pairs.weight[c]) : all(0);
@@ -441,7 +475,7 @@ static inline void pair_up(
     alignas(64) float a[LANES], b[LANES], world[3][LANES], weight[3][LANES], close[LANES];
     alignas(64) int32_t pair[LANES], second[LANES];
     const Lanes share = o.spread < 1 ? o.close * o.hidden * (1.0f - o.spread) : all(0);
-    store(close, share), store(a, o.lobe->a), store(b, o.lobe->b);
+    store(close, share), store(a, o.lobe->dark_a), store(b, o.lobe->dark_b);
     for (int c = 0; c < 3; ++c) store(world[c], o.world[c]), store(weight[c], share * w[c]);
     std::memcpy(pair, &o.lobe->pair, sizeof pair), std::memcpy(second, &o.lobe->second, sizeof second);
     for (int l = 0; l < LANES; ++l) {
@@ -643,7 +677,8 @@ extern "C" int32_t ptt_shine(const Shine *given) {
             }
         });
         by_parts(g.points, [&](int64_t first, int64_t end) {
-            for (int64_t p = first; p < end; ++p) std::memcpy(g.out + 3 * p, g.line + 3 * g.place[p], 3 * sizeof(float));
+            for (int64_t p = first; p < end; ++p)
+                std::memcpy(g.out + 3 * p, g.line + 3 * g.place[p], 3 * sizeof(float));
         });
     }
     return DONE;

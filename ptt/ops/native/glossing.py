@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from ptt.ops import gloss as plain
-from ptt.ops.around import BLUR, SHARPNESS, Around, alone, close
-from ptt.ops.cells import Gloss, Lobes
+from ptt.ops.around import BLUR, Around, alone, close
+from ptt.ops.cells import SHARPNESS, Gloss, Lobes
 from ptt.ops.compiling import inlined
 from ptt.ops.constants import (
     CHANNELS,

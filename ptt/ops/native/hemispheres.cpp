@@ -17,7 +17,7 @@ extern "C" int32_t ptt_lamps_seen(const LampsSeen *given) {
     in_parallel((g.places + LANES - 1) / LANES, g.threads, [=](int64_t group) {
         const int64_t first = group * LANES;
         const Ints row = numbers(first, g.places);
-        Lanes frame[9], height, a, b;
+        Lanes frame[9], height, local[3], a, b;
         frames_at(g.frames, row, frame);
         for (int64_t m = 0; m < g.sources; ++m) {
             Lanes sum = all(0);
@@ -26,7 +26,7 @@ extern "C" int32_t ptt_lamps_seen(const LampsSeen *given) {
                 const Lanes d[3] = {all(g.areas[3 * i]), all(g.areas[3 * i + 1]), all(g.areas[3 * i + 2])};
                 risen(frame + 6, d, 1, height);
                 if (!any(height > 0)) continue;
-                local_at(frame, d, height, a, b);
+                local_at(frame, d, height, local), hemi_octahedral(local, a, b);
                 sum += height > 0 ? g.shares[i] * bits_at(g.seen, of.bits, row * of.all, a, b) : all(0);
             }
             put(sum, g.out + m * g.places, first, g.places);

@@ -218,7 +218,8 @@ static void run(const View &g) {
             }
         });
         by_parts(g.points, [&](int64_t first, int64_t end) {
-            for (int64_t p = first; p < end; ++p) std::memcpy(g.out + 3 * p, g.line + 3 * g.place[p], 3 * sizeof(float));
+            for (int64_t p = first; p < end; ++p)
+                std::memcpy(g.out + 3 * p, g.line + 3 * g.place[p], 3 * sizeof(float));
         });
     }
 }

@@ -16,7 +16,7 @@ from ptt.ops.around import Around
 from ptt.ops.cells import Gloss, Lobes
 from ptt.ops.constants import BITS, LEVELS, MEETS, PARTS, RECORD, RINGS, ROW, SECTORS, SENT, TILTS
 from ptt.ops.gloss import GlossLight
-from ptt.ops.hemispheres import Between, words_of
+from ptt.ops.hemispheres import SHARES, Between, words_of
 from ptt.ops.transfer import meets_packed
 from ptt.ops.view import SurfaceBlocks
 
@@ -64,7 +64,7 @@ def inputs(
     return Inputs(
         points,
         eye,
-        words(n, words_of(BITS), g),
+        hemispheres(n, g),
         Gloss(Lobes(table, turns), values, table[:0], table[:0], spread=90.0),
         light,
     )
@@ -72,6 +72,17 @@ def inputs(
 
 def words(n: int, count: int, g: torch.Generator) -> Tensor:
     return torch.randint(-(2**31), 2**31, (n, count), generator=g).int()
+
+
+def hemispheres(n: int, g: torch.Generator) -> Tensor:
+    """Bits of noise, and shares that change evenly, so that rounding chooses no slope: their slopes jump otherwise."""
+    noise = words(n, BITS * BITS // 32, g)
+    steps = torch.rand(n, 2, 1, 1, generator=g)
+    parts = []
+    for side in SHARES.values():
+        row, column = torch.meshgrid(*[torch.arange(side) / side] * 2, indexing="ij")
+        parts.append((60 + 60 * (steps[:, 0] * row + steps[:, 1] * column)).flatten(1).round())
+    return torch.cat((noise, torch.cat(parts, 1).to(torch.uint8).view(torch.int32)), 1)
 
 
 def directions(n: int, g: torch.Generator) -> Tensor:
@@ -115,7 +126,7 @@ def surroundings(n: int, p: int, g: torch.Generator) -> Around:
         meets,
         records,
         torch.rand(p, SENT, generator=g),
-        words(7, words_of(BITS), g),
+        hemispheres(7, g),
         one_met,
         tables,
         parts,
@@ -147,14 +158,16 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def agree(x: Inputs, calls: list[int]) -> None:
+    """By the kernel, and as right as float32: tables of noise make much of how it rounds where they are looked up."""
     got = native.shine(*x)
-    assert not calls  # by the kernel
-    expected = plain.shine(*in_double(x))  # tables of noise: float32 rounds where they are looked up
+    assert not calls
+    expected = plain.shine(*in_double(x))
+    rounding = float((plain.shine(*x).double() - expected).abs().max())
     calls.clear()
     assert got.shape == expected.shape and got.dtype == torch.float32
     error = (got.double() - expected).abs()
-    assert float(error.mean()) < 4e-6 * float(expected.abs().max())
-    assert float(error.max()) < 2e-4 * float(expected.abs().max())
+    assert float(error.mean()) < 1e-5 * float(expected.abs().max())
+    assert float(error.max()) < 2e-4 * float(expected.abs().max()) + 2 * rounding
 
 
 @pytest.mark.parametrize("distant", [False, True])
