@@ -122,7 +122,7 @@ def _errors(
                 seen.errors(table, f"{what}, total", whole, total, goals["total"])
                 seen.errors(table, f"{what}, direct", first, alone, goals["direct"])
                 seen.errors(table, f"{what}, indirect", whole - first, _less(total, alone), goals["indirect"])
-                seen.negative(table, what, whole, goals["total"])
+                seen.negative(table, what, both[1](light, given, seen.everywhere), goals["total"])
             if file == MAPS[0] and key in TRADED:
                 _trade(table, f"{name}, trade, {key}", models["lobes"], light, given, seen, total)
 

@@ -25,7 +25,7 @@ class Seen:
         self.scene = scene
         self.eye = torch.as_tensor(scene.camera.eye, dtype=torch.float32)
         self.own = scene.vertex_region == 0
-        toward = scene.camera.toward(scene.points)
+        toward = self.everywhere = scene.camera.toward(scene.points)  # by directions, unseen points have highlights too
         cosine = (toward * scene.frames[:, 2]).sum(1)
         facing = torch.nonzero(self.own & (cosine > 0.05))[:, 0]
         some = torch.randperm(len(facing), generator=torch.Generator().manual_seed(0))[:count]
