@@ -91,7 +91,8 @@ class _Met(NamedTuple):
 
 
 def from_points(around: Around, frame: Tensor, axes: Tensor, turn: Tensor, closely: Tensor) -> Tensor:
-    """B (n, k, c) that points (n, ...) see about their local axes (n, k, 3); 0 where they see none.
+    """B (n, k, c) that points (n, ...) see about their local axes (n, k, 3); where none is there that faces them, the
+    mean of all that they see: what hides a part of a lobe need not lie about any one axis.
 
     closely (n, k): how far points are seen as `PARTS` lobes in place of one
 
@@ -100,12 +101,12 @@ def from_points(around: Around, frame: Tensor, axes: Tensor, turn: Tensor, close
     """
     world = axes @ frame
     there, met = _met(around, around.meets, axes, world)
-    sent = axes.new_zeros(*axes.shape[:2], around.maps.shape[2] - 1)
-    sent = sent.index_put(there, _as_one_lobe(around, met, turn))
+    mean = around.mean.T[:, None].expand(-1, axes.shape[1], -1).contiguous()
+    sent = mean.index_put(there, _as_one_lobe(around, met, turn))
     if around.others is None or not bool((closely > 0).any()):
         return sent
     there, met = _met(around, around.meets, axes, world, closely > 0)
-    parts = torch.zeros_like(sent).index_put(there, _as_parts(around, met, turn))
+    parts = mean.index_put(there, _as_parts(around, met, turn))
     return torch.lerp(sent, parts, closely[..., None])
 
 

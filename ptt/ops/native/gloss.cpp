@@ -423,7 +423,7 @@ struct Pairs {
 static inline void take_parts(const Shine &g, int64_t v, Pairs &pairs, float (*sums)[LANES]) {
     Met met;
     Records of;
-    Lanes sent[4], world[3], out[3];
+    Lanes sent[4], world[3], out[3] = {};
     Ints from, pair, second;
     std::memcpy(&from, pairs.from, sizeof from), std::memcpy(&pair, pairs.pair, sizeof pair);
     std::memcpy(&second, pairs.second, sizeof second);
@@ -431,41 +431,43 @@ static inline void take_parts(const Shine &g, int64_t v, Pairs &pairs, float (*s
     const int32_t *meets = g.meets + v * MET;
     between_normals(meets, from, load(pairs.a), load(pairs.b), met.normal);
     meet(meets, pair + second, world, lane() < pairs.count, met);
-    const int count = pairs.count;
-    pairs.count = 0;
-    if (!any(met.there)) return;
-    records_of(g, met, of);
-    gather_four(g.sent, met.point * SENT, sent);
-    for (int c = 0; c < 3; ++c) out[c] = sent[c];
-    Part parts[PARTS];
-    for (int j = 0; j < PARTS; ++j) part_of(g, met, of, g.parts, (of.table * PARTS + j) * ROW, parts[j]);
-    for (int j = 0; j < PARTS; ++j) {
-        Lanes surfaces[3];
-        const Sky sky = sky_of(g, of, parts[j]);
-        beyond(g, of, parts[j], sky.through, met.there, surfaces);
-        reflect_part(g, of, parts[j], sky, surfaces, out);
+    if (any(met.there)) {
+        records_of(g, met, of);
+        gather_four(g.sent, met.point * SENT, sent);
+        for (int c = 0; c < 3; ++c) out[c] = sent[c];
+        Part parts[PARTS];
+        for (int j = 0; j < PARTS; ++j) part_of(g, met, of, g.parts, (of.table * PARTS + j) * ROW, parts[j]);
+        for (int j = 0; j < PARTS; ++j) {
+            Lanes surfaces[3];
+            const Sky sky = sky_of(g, of, parts[j]);
+            beyond(g, of, parts[j], sky.through, met.there, surfaces);
+            reflect_part(g, of, parts[j], sky, surfaces, out);
+        }
     }
     for (int c = 0; c < 3; ++c) {
-        const Lanes some = met.there ? out[c] * load(pairs.weight[c]) : all(0);
-        for (int i = 0; i < count; ++i) sums[c][pairs.point[i]] += some[i];
+        const float *mean = g.mean + c * g.n + v;
+        for (int i = 0; i < pairs.count; ++i) {
+            const int point = pairs.point[i];
+            sums[c][point] += pairs.weight[c][i] * (met.there[i] ? out[c][i] : mean[point]);
+        }
     }
+    pairs.count = 0;
 }
 
-// What others send against the axis as one lobe, 0 where they face away, times the share that is hidden from the sky
-// (ptt.ops.around.from_points)
+// What others send against the axis as one lobe, the mean of all where they face away, times the share that is hidden
+// from the sky (ptt.ops.around.from_points)
 static inline void take_from(const Shine &g, int64_t v, const Others &o, Lanes *out) {
-    for (int c = 0; c < 3; ++c) out[c] = all(0);
     if (any(o.met.there & (o.close < 1))) {
         Lanes sent[8];
         for (int i = 0; i < 8; i += 4) gather_four(g.sent + i, o.met.point * SENT, sent + i);
         for (int c = 0; c < 3; ++c) out[c] = sent[c];
         reflect_part(g, o.of, o.whole, sky_of(g, o.of, o.whole), sent + 3, out);
-        for (int c = 0; c < 3; ++c) out[c] = o.met.there ? out[c] : all(0);
-    }
+    } else
+        for (int c = 0; c < 3; ++c) out[c] = all(0);
     const Lanes share = (1.0f - o.spread) * (1.0f - o.close);
     for (int c = 0; c < 3; ++c) {
-        const Lanes about = share * out[c] + o.spread * load(g.mean + c * g.n + v);
-        out[c] = o.hidden > CLEAR ? o.hidden * about : all(0);
+        const Lanes mean = load(g.mean + c * g.n + v), one = o.met.there ? out[c] : mean;
+        out[c] = o.hidden > CLEAR ? o.hidden * (share * one + o.spread * mean) : all(0);
     }
 }
 
