@@ -43,4 +43,4 @@ def brushed(table: Table, maps: Sequence[str], vertices: int, samples: int) -> N
                 for part, relighter, exact, goal in zip(("direct", "total"), both, truth, goals, strict=True):
                     radiance = relighter(light, given, seen.eye)
                     seen.errors(table, f"{what}, {part}", radiance, exact, goal)
-                seen.negative(table, what, radiance, goals[1])
+                seen.negative(table, what, both[1](light, given, seen.everywhere), goals[1])

@@ -180,7 +180,7 @@ def test_gradients(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter
 
 
 def test_gradients_of_shapes(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) -> None:
-    """Lobes have them, two-sided; tables on triangles refuse."""
+    """Lobes have them, two-sided, over a step so wide that cells which jump between nodes cancel; triangles refuse."""
 
     def relit(exponent: Tensor) -> Tensor:
         shape = ptt.BlinnPhong(exponent)
@@ -193,7 +193,7 @@ def test_gradients_of_shapes(small_scene: ptt.Scene, relighter: ptt.TripleProduc
             relit(exponent)
         return
     relit(exponent).backward()
-    step = 0.5
+    step = 2.0
     difference = (relit(torch.tensor(15.0 + step)) - relit(torch.tensor(15.0 - step))) / (2 * step)
     assert exponent.grad is not None and float(exponent.grad) == pytest.approx(float(difference), rel=0.05)
 

@@ -161,7 +161,8 @@ def tiny() -> ptt.RawTransfer:
 
 
 def test_as_many_eigenvectors_as_points_are_exact(tiny: ptt.RawTransfer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One cluster a region, nothing left out: every point's own T0, to float32, under the same texels."""
+    """One cluster a region, nothing left out: every point's own T0, to float32, under the same texels, as seen from
+    directions, by which all points show their highlights."""
     lighting = haar.analyse(SKY.project(Cube(16)).movedim(-1, 0))
     monkeypatch.setattr(plain, "lighting", lambda *_: lighting)
     space = ptt.BRDFSpace.blinn_phong((2.0, 8.0, 32.0))
@@ -172,7 +173,7 @@ def test_as_many_eigenvectors_as_points_are_exact(tiny: ptt.RawTransfer, monkeyp
     for coefficients in (64, None):
         exact, clustered = (
             ptt.TransferRelighter(ptt.compress(direct, coefficients, brdf, basis, clusters), compiled=False)(
-                SKY, {}, EYE
+                SKY, {}, EYE - tiny.receivers.positions
             )
             for clusters in (None, whole)
         )
