@@ -162,8 +162,7 @@ def dips(vertices: Tensor, faces: Tensor, normals: Tensor) -> Tensor:
     A triangle turned to an eye at an angle of a to the normal has its own normal within 90 degrees of that way, so that
     the eye is less than a below the horizon. `SEEN` for vertices with triangles that face away from their normals.
     """
-    a, b, c = vertices[faces].unbind(1)
-    flat = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1)
+    flat = _unit(face_crosses(vertices, faces), 0.0).to(normals)
     cosine = (normals[faces] * flat[:, None]).sum(2)
     lowest = normals.new_ones(len(normals)).scatter_reduce(0, faces.flatten(), cosine.flatten(), "amin")
     return torch.where(lowest > 0, (1 - lowest.square()).clamp(min=0).sqrt() + MARGIN, SEEN)

@@ -30,9 +30,8 @@ struct Lobe {
 };
 
 // Of a group of points: which the eye sees (`faces_eye`), and whether any; the local direction to it, and unit (u, v)
-// along it as seen from above; the row of tables
-// below it, and the share of the row above; of anisotropic f, the first rows of two azimuths, and the share of the
-// next.
+// along it as seen from above; the row of tables below it, and the share of the row above; of anisotropic f, the
+// first rows of two azimuths, and the share of the next.
 struct Stand {
     Ints seen;
     bool some;
@@ -71,12 +70,16 @@ static inline void find(const Look &at, int k, Lobe &lobe) {
     hemi_octahedral(lobe.local, lobe.a, lobe.b), lobe.level = row[3];
 }
 
+// A local direction where the rows of a frame lie.
+static inline void framed(const Lanes *x, const Lanes (&frame)[3][3], Lanes *out) {
+    for (int c = 0; c < 3; ++c) out[c] = x[0] * frame[0][c] + x[1] * frame[1][c] + x[2] * frame[2][c];
+}
+
 // Finds the light of a lobe, of which a part is seen, about that part's mean direction.
 static inline void find_light(const Shine &g, const Look &at, const Share &part, Lanes along, Lobe &lobe) {
     Lanes local[3], d[3];
     for (int r = 0; r < 3; ++r) local[r] = lobe.local[r] + along * part.gradient[r];
-    for (int c = 0; c < 3; ++c)
-        d[c] = local[0] * at.to_map[0][c] + local[1] * at.to_map[1][c] + local[2] * at.to_map[2][c];
+    framed(local, at.to_map, d);
     const Place on = place_on_sphere(d, g.map);
     const Ints below = clamp(whole(lobe.level), LEVELS - 2);
     lobe.next = lobe.level - real(below);
@@ -187,17 +190,12 @@ static inline void cell_of(Lanes a, Lanes b, Ints &pair, Ints &second) {
     pair = (row * MEETS + column) / 2 * 3, second = column & 1;
 }
 
-// x of local coordinates in the world, by a frame of three rows
-static inline void in_world(const Lanes *x, const Lanes (&frame)[3][3], Lanes *out) {
-    for (int c = 0; c < 3; ++c) out[c] = x[0] * frame[0][c] + x[1] * frame[1][c] + x[2] * frame[2][c];
-}
-
 // What a group sees of a lobe, between places (ptt.ops.hemispheres.split_between).
 static inline Share share_between(const Shine &g, const Look &at, const Lobe &lobe) {
     const Layout of(g.bits);
     Lanes d[3], gradient[3] = {}, counts = all(0);
     Share total = {all(0), all(0), {}};
-    in_world(lobe.local, at.frame, d);
+    framed(lobe.local, at.frame, d);
     for (int j = 0; j < g.each; ++j) {
         const Corner &corner = at.corners[j];
         Lanes height, local[3], a, b;
@@ -271,8 +269,8 @@ static inline void between_normals(const int32_t *meets, Ints from, Lanes a, Lan
     for (int c = 0; c < 3; ++c) normal[c] = mean[c] / most(length, all(TINY));
 }
 
-// A lobe by which a group of met points reflects: its axis, local as (a, b) and height, and in the world; its level,
-// and w of each channel.
+// A lobe by which a group of met points reflects: where its axis lies on maps of the hemisphere, the axis, local and in
+// the world, w of each channel, and its level.
 struct Part {
     Lanes a, b, local[3], axis[3], w[3];
     Ints level;
@@ -370,7 +368,7 @@ static inline void find_others(const Shine &g, int64_t v, const Look &at, Others
     o.spread = least(most(o.lobe->level - g.alone, all(0)), all(1));
     o.met.there = (o.hidden > CLEAR) & (o.spread < 1);
     if (!any(o.met.there)) return;
-    in_world(o.lobe->dark, at.frame, o.world);
+    framed(o.lobe->dark, at.frame, o.world);
     const Lanes length = root(o.world[0] * o.world[0] + o.world[1] * o.world[1] + o.world[2] * o.world[2]);
     for (int c = 0; c < 3; ++c) o.world[c] /= most(length, all(TINY));
     const int32_t *from = g.meets + v * MET;
