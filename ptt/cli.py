@@ -109,6 +109,18 @@ def kept_model(scene: Scene, settings: Mapping[str, Any], make: Callable[[], Tra
     return model
 
 
+def make_folder(path: Path) -> None:
+    """Make the folder for results, before anything takes long.
+
+    Raises:
+        ValueError: it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"--out: cannot make the folder {path}: {error.strerror}") from error
+
+
 def save_config(config: Any, path: Path) -> None:
     """Write a config dataclass as JSON beside the result it belongs to."""
     path.write_text(json.dumps(asdict(config), default=str, indent=2) + "\n")

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import ptt
-from ptt.cli import chosen_scene, configure, run, save_config
+from ptt.cli import chosen_scene, configure, make_folder, run, save_config
 
 
 @dataclass
@@ -38,6 +38,7 @@ class Config:
 def main() -> None:
     config = configure(Config, __doc__ or "")
     scene = chosen_scene(config.scene)
+    make_folder(config.out)
     counts = region_counts(scene)
     print(f"{len(scene.vertices)} vertices, {len(scene.faces)} triangles; {counts}")
 
@@ -45,7 +46,6 @@ def main() -> None:
     raw = ptt.precompute(scene, config.bounces, resolution=config.resolution, rays=config.rays, progress=True)
     seconds = time.perf_counter() - start
 
-    config.out.mkdir(parents=True, exist_ok=True)
     raw.save(config.out / "raw.safetensors")
     save_config(config, config.out / "precompute.json")
     size = (config.out / "raw.safetensors").stat().st_size

@@ -24,7 +24,7 @@ import ptt  # before torch: it says how threads wait (ptt.threads)
 import torch
 from torch import Tensor
 
-from ptt.cli import Layout, chosen_light, chosen_scene, chosen_space, configure, kept_model, run
+from ptt.cli import Layout, chosen_light, chosen_scene, chosen_space, configure, kept_model, make_folder, run
 
 JUDGED = 128  # vertices, at most, each by PATHS light paths for every one of a pixel: noise stays below the error
 PATHS = 512
@@ -77,6 +77,7 @@ def main() -> None:
     scene = chosen_scene(config.scene)
     light = chosen_light(config.environment, scene, config.layout)
     camera = replace(scene.camera, width=config.width, height=config.height)
+    make_folder(config.out)
 
     # choose the edit
     names = [region.name for region in scene.regions]
@@ -105,7 +106,6 @@ def main() -> None:
     }
 
     # relight, render, and judge
-    config.out.mkdir(parents=True, exist_ok=True)
     columns = []
     report = {}
     exposure = config.exposure

@@ -148,6 +148,13 @@ def test_bad_input_ends_in_one_line(name: str, arguments: tuple[str, ...], messa
     assert "error: " in out and message in out.splitlines()[-1]
 
 
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for name in ("precompute", "relight"):
+        out = script(name, "--out", tmp_path / "file" / "runs", status=2)
+        assert "cannot make the folder" in out.splitlines()[-1]
+
+
 def test_unknown_key_in_a_config(tmp_path: Path) -> None:
     (tmp_path / "c.toml").write_text("resolutoin = 3")
     out = script("precompute", "--config", tmp_path / "c.toml", status=2)

@@ -9,6 +9,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from ptt.ops import kinds
 from ptt.ops.raycast import Hits, Surface
 from ptt.scene.scene import Scene
 
@@ -44,6 +45,7 @@ class Atlas:
 
         corner_uv (f, 3, 2): such as `scene.uv[scene.faces]`; None for charts that xatlas makes
         """
+        kinds.check("scene", scene, Scene)
         if not 1 <= size <= 8192:
             raise ValueError(f"size must be in 1..8192, got {size}")
         uv = unwrapped(scene, size) if corner_uv is None else corner_uv.float()

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ptt.imaging.image import Image
 from ptt.light.environment import Environment
+from ptt.ops import kinds
 from ptt.scene.bumps import BumpMap
 from ptt.scene.camera import Camera
 from ptt.scene.scene import Scene
@@ -52,8 +53,11 @@ class GBuffer:
         A frame whose tangent is parallel to its normal gets another tangent; a warning counts such frames.
 
         Raises:
-            ValueError: a bump map has an unknown region, or the scene no uv.
+            ValueError: a bump map has an unknown region, or the scene no uv; or scene and camera are of another
+                kind.
         """
+        kinds.check("scene", scene, Scene)
+        kinds.check("camera", camera, Camera)
         eye, directions = camera.rays()
         hits = scene.surface.first_hit(eye.expand(camera.width * camera.height, 3), directions.reshape(-1, 3))
         pixel = hits.front.nonzero()[:, 0]

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ptt.io.images import png, write_image
 from ptt.light.environment import Environment
+from ptt.ops import kinds
 from ptt.scene.camera import Camera
 from ptt.scene.scene import Scene
 
@@ -59,8 +60,12 @@ def render(
     Back faces are black: surfaces are one-sided.
 
     Raises:
-        ValueError: radiance is not (v, 3) for the scene's vertices or not finite, or antialias < 1.
+        ValueError: radiance is not (v, 3) for the scene's vertices or not finite, antialias < 1, or another
+            argument is of another kind.
     """
+    kinds.check("scene", scene, Scene)
+    kinds.check("camera", camera, Camera)
+    kinds.check("environment", environment, (Environment, type(None)))
     if radiance.shape != scene.vertices.shape or not bool(torch.isfinite(radiance).all()):
         raise ValueError(f"radiance must be finite, {tuple(scene.vertices.shape)}, got {tuple(radiance.shape)}")
     if antialias < 1:

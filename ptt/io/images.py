@@ -20,6 +20,7 @@ from torch import Tensor
 
 from ptt.io import by_oiio, exr, radiance
 from ptt.io.colour import from_srgb, to_srgb
+from ptt.io.saved import check_folder
 
 _F = TypeVar("_F", bound=Callable[..., object])
 CHANNELS = (1, 3, 4)
@@ -49,6 +50,7 @@ def write_image(path: str | PathLike[str], image: Tensor) -> None:
             the file cannot be written.
     """
     path = Path(path)
+    check_folder(path)
     write = _by_ending(path, {".exr": exr.write, ".hdr": _write_hdr, ".png": _write_png})
     if image.ndim != 3 or image.shape[2] not in CHANNELS or image.numel() == 0:
         raise ValueError(f"image must have shape (height, width, 1 | 3 | 4), got {tuple(image.shape)}")

@@ -28,6 +28,7 @@ def save(path: str | PathLike[str], kind: str, config: Mapping[str, Any], tensor
         ValueError: the file cannot be written.
     """
     path = Path(path)
+    check_folder(path)
     header = {"ptt": json.dumps({"schema": SCHEMA, "kind": kind, "config": config})}
     ready = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     partial = path.with_name(f"{path.name}.{os.getpid()}.part")
@@ -37,6 +38,16 @@ def save(path: str | PathLike[str], kind: str, config: Mapping[str, Any], tensor
     except (OSError, SafetensorError) as error:
         partial.unlink(missing_ok=True)
         raise ValueError(f"cannot write {path}: {error}") from error
+
+
+def check_folder(path: Path) -> None:
+    """Refuse a file that is to be written into a folder that is not there.
+
+    Raises:
+        ValueError: the message names the folder.
+    """
+    if not path.parent.is_dir():
+        raise ValueError(f"cannot write {path}: make the folder {path.parent} first")
 
 
 def load(path: str | PathLike[str], kind: str) -> tuple[dict[str, Any], dict[str, Tensor]]:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from math import isfinite, pi, radians, sin
 from os import PathLike
-from typing import NamedTuple
+from typing import NamedTuple, SupportsFloat
 
 import torch
 import torch.nn.functional as F
@@ -222,8 +222,9 @@ class Environment:
 
     def rotated(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Environment:
         """The environment turned by degrees about the world axes, first x, then y, then z; right-handed."""
-        if not all(map(isfinite, (x, y, z))):
-            raise ValueError(f"angles must be finite, got {(x, y, z)}")
+        for angle in (x, y, z):
+            if not isinstance(angle, SupportsFloat) or getattr(angle, "ndim", 0) > 0 or not isfinite(angle):
+                raise ValueError(f"angles must be finite numbers of degrees, got {angle!r}")
         rotation = turn(2, z) @ turn(1, y) @ turn(0, x)
         return Environment._of(layer._replace(rotation=rotation @ layer.rotation) for layer in self.layers)
 

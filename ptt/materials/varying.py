@@ -9,7 +9,7 @@ roughness is interpolated between fixed ones. `Material` is the case of one that
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -225,18 +225,27 @@ def materials_of_regions(own: Mapping[str, SurfaceMaterial], given: Mapping[str,
     """The material of every region, by name and in the order of `own`: the given one, else its own.
 
     Raises:
-        ValueError: no region has a given name, or a value is no material.
+        ValueError: as for `check_materials`.
+    """
+    check_materials(own, given)
+    return {name: given.get(name, material) for name, material in own.items()}
+
+
+def check_materials(regions: Collection[str], given: object) -> None:
+    """Refuse what does not map some of the regions, by name, to materials.
+
+    Raises:
+        ValueError: `given` is no mapping, no region has a given name, or a value is no material.
     """
     if not isinstance(given, Mapping):
-        one = next(iter(own))
+        one = next(iter(regions))
         raise ValueError(
             f"materials must map regions to materials, as {{{one!r}: material}}, got {type(given).__name__}"
         )
-    if unknown := [name for name in given if name not in own]:
-        raise ValueError(f"no region {', '.join(unknown)}; there are {', '.join(own)}")
+    if unknown := [name for name in given if name not in regions]:
+        raise ValueError(f"no region {', '.join(unknown)}; there are {', '.join(regions)}")
     if wrong := [name for name, material in given.items() if not isinstance(material, SurfaceMaterial)]:
         raise ValueError(f"materials must map regions to ptt.Material, got {type(given[wrong[0]]).__name__}")
-    return {name: given.get(name, material) for name, material in own.items()}
 
 
 def looked_up(given: Map, uv: Tensor | None) -> Tensor:

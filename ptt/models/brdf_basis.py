@@ -12,7 +12,7 @@ from ptt.materials.material import Material
 from ptt.materials.shapes import Shape
 from ptt.materials.spaces import BRDF, BRDFSpace
 from ptt.models import kept
-from ptt.ops import brdf
+from ptt.ops import brdf, kinds
 from ptt.ops.albedo import gauss_legendre, nodes
 
 FUNCTIONS = 4  # specular ones, as in the paper
@@ -68,6 +68,7 @@ class BRDFBasis(nn.Module):
         Raises:
             ValueError: functions are not in 1..samples.
         """
+        kinds.check("space", space, BRDFSpace)
         if not 1 <= functions <= len(space.samples):
             raise ValueError(f"functions must be in 1..{len(space.samples)}, the samples, got {functions}")
         settings = {"functions": functions}

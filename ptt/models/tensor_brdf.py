@@ -13,7 +13,7 @@ from ptt.materials.material import Material
 from ptt.materials.shapes import Shape
 from ptt.materials.spaces import BRDF, BRDFSpace
 from ptt.models import kept
-from ptt.ops import lobes, separation, transfer, tucker
+from ptt.ops import kinds, lobes, separation, transfer, tucker
 from ptt.ops.sphere import Disk
 
 RESOLUTION = 32  # texels across the disk; 48 lower the error of exponent 20 from 7.9 to 7.7 %
@@ -82,6 +82,7 @@ class TensorBRDF(nn.Module):
         Raises:
             ValueError: not exactly one of ranks and error is given, or one is out of range.
         """
+        kinds.check("space", space, BRDFSpace)
         settings = {"ranks": ranks, "error": error, "separated": separated, "resolution": resolution}
         parts = kept.fit(
             "BRDF tensor", space, settings, lambda: cls._fitted(space, ranks, error, separated, resolution)

@@ -30,6 +30,7 @@ from torch import Tensor
 
 from ptt.light.environment import Environment
 from ptt.materials.varying import SurfaceMaterial
+from ptt.ops import kinds
 from ptt.reference.path_tracer import Estimate, PathTracer, PathVertices, to_local
 from ptt.scene.camera import Camera
 from ptt.scene.parts import Part
@@ -127,6 +128,8 @@ def at_vertices(
     **settings: Unpack[Settings],
 ) -> Estimate:
     """`radiance` (v, 3) of every vertex of the scene towards the camera, which need not see it."""
+    kinds.check("scene", scene, Scene)
+    kinds.check("camera", camera, Camera)
     wo = camera.toward(scene.points)
     return radiance(scene, environment, materials, vertex_points(scene), wo, **settings)
 
@@ -182,6 +185,7 @@ def image(
     **settings: Unpack[Settings],
 ) -> Estimate:
     """`along_rays` (height, width, 3) through the centres of the camera's pixels."""
+    kinds.check("camera", camera, Camera)
     eye, directions = camera.rays()
     rays = directions.reshape(-1, 3)
     estimate = along_rays(scene, environment, materials, eye.expand_as(rays), rays, **settings)

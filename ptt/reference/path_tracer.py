@@ -15,7 +15,8 @@ from tqdm import tqdm
 
 from ptt.light.environment import Environment
 from ptt.materials.shapes import GGX, BlinnPhong, CookTorrance, Shape, Ward, number
-from ptt.materials.varying import SurfaceMaterial
+from ptt.materials.varying import SurfaceMaterial, check_materials
+from ptt.ops import kinds
 from ptt.ops.raycast import Hits
 from ptt.reference.sampling import BeckmannLobe, GGXLobe, Lobe, Mixture, PowerLobe
 from ptt.scene.scene import Scene
@@ -78,8 +79,11 @@ class PathTracer:
         seed: int = 0,
         progress: bool = False,
     ) -> None:
+        kinds.check("scene", scene, Scene)
+        kinds.check("environment", environment, Environment)
         if bounces < 0 or samples < 2:
             raise ValueError(f"bounces must be at least 0 and samples at least 2, got {bounces} and {samples}")
+        check_materials([region.name for region in scene.regions], materials)
         missing = [region.name for region in scene.regions if region.name not in materials]
         if missing:
             raise ValueError(f"materials must cover every region of the scene, got none for {', '.join(missing)}")

@@ -19,7 +19,7 @@ from ptt.materials.shapes import Shape, is_mirror_symmetric
 from ptt.materials.varying import SurfaceMaterial
 from ptt.models.cache import Cache, watched
 from ptt.models.light_rotation import LightRotation
-from ptt.ops import cells, haar, slices
+from ptt.ops import cells, haar, kinds, slices
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.octahedral import Octahedral, mix
 from ptt.ops.slices import Slices
@@ -131,6 +131,7 @@ class EnvMapRelighter(Relighter):
         lamps: bool = True,
         compiled: bool = True,
     ) -> None:
+        kinds.check("scene", scene, Scene)
         super().__init__(compiled)
         rotation = LightRotation.build(SIDE, NORMALS, compiled=compiled) if rotation is None else rotation
         terms = min(TERMS, rotation.m**2) if terms is None else terms

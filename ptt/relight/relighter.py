@@ -13,7 +13,7 @@ from ptt.imaging.gbuffer import GBuffer
 from ptt.light.environment import Environment
 from ptt.materials.varying import SurfaceMaterial, materials_of_regions
 from ptt.models.cache import Cache, watched
-from ptt.ops import native
+from ptt.ops import kinds, native
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.relight.viewpoint import View, eye_of
 
@@ -78,9 +78,7 @@ class Relighter(nn.Module, ABC):
         """The three steps."""
         if isinstance(view, GBuffer) and not self.pixels:
             raise ValueError(f"{type(self).__name__} relights vertices: view must be a Camera or a tensor")
-        if not isinstance(environment, self.lights):
-            given = type(environment).__name__
-            raise ValueError(f"environment must be a ptt.Environment (Environment.load reads a file), got {given}")
+        kinds.check("environment", environment, self.lights)
         chosen = self.chosen(materials)
         eye = eye_of(view, self.positions)
         points = self.points(view, eye, chosen)

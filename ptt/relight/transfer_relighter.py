@@ -13,6 +13,7 @@ from ptt.materials.material import Material
 from ptt.materials.varying import SurfaceMaterial, same
 from ptt.models.cache import Cache
 from ptt.models.transfer_model import TransferModel
+from ptt.ops import kinds
 from ptt.ops.compiling import in_python, uncompiled
 from ptt.relight.cluster_steps import ClusterSteps
 from ptt.relight.lobe_steps import LobeSteps
@@ -50,6 +51,7 @@ class TransferRelighter(Relighter):
     }
 
     def __init__(self, model: TransferModel, compiled: bool = True, lobes: int | None = None) -> None:
+        kinds.check("model", model, TransferModel)
         super().__init__(compiled, self.sources_by_highlights[model.highlights])
         self.model = model
         self.steps = _steps(model, compiled, lobes).to(model.positions.device)

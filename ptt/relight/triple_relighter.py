@@ -18,7 +18,7 @@ from ptt.materials.material import Material
 from ptt.materials.shapes import Shape, is_mirror_symmetric, reflecting_all
 from ptt.materials.varying import SurfaceMaterial
 from ptt.models.cache import Cache, watched
-from ptt.ops import haar, local, rotation
+from ptt.ops import haar, kinds, local, rotation
 from ptt.ops.cells import Gloss
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.geodesic import Geodesic
@@ -143,6 +143,7 @@ class TripleProductRelighter(Relighter):
         compiled: bool = True,
         progress: bool = False,
     ) -> None:
+        kinds.check("scene", scene, Scene)
         super().__init__(compiled)
         for name, value, least, most in (
             ("level", level, 0, FINEST),

@@ -18,7 +18,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from ptt.materials.varying import Map, SurfaceMaterial
-from ptt.ops import refine, transfer
+from ptt.ops import kinds, refine, transfer
 from ptt.ops.octahedral import Octahedral
 from ptt.ops.raycast import Hits
 from ptt.scene.scene import Scene
@@ -61,6 +61,7 @@ def finer_in_gaps(scene: Scene, error: float = ERROR, *, progress: bool = False)
     Raises:
         ValueError: error is not above 0.
     """
+    kinds.check("scene", scene, Scene)
     if not error > 0:
         raise ValueError(f"error must be > 0, got {error}")
     skies = [_sky_seen(scene, scene.points, scene.normals, sky) for sky in SKIES]

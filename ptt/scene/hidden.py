@@ -7,6 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from ptt.ops import kinds
 from ptt.ops.octahedral import Octahedral
 from ptt.scene.scene import Scene
 
@@ -23,6 +24,7 @@ def without_hidden(scene: Scene) -> Scene:
     Raises:
         ValueError: a whole region is hidden.
     """
+    kinds.check("scene", scene, Scene)
     faces = scene.faces
     keep = _sees_out(scene, scene.points, scene.normals)[faces].any(1)
     unsure = torch.nonzero(~keep)[:, 0]

@@ -57,6 +57,7 @@ def _read_stl(path: Path) -> list[Part]:
     """One part; vertices at the same position are joined."""
     import trimesh
 
+    _check_whole_stl(path)
     try:
         loaded = trimesh.load_mesh(str(path), process=False)
         corners = torch.from_numpy(np.array(loaded.triangles, dtype=np.float64))
@@ -66,6 +67,18 @@ def _read_stl(path: Path) -> list[Part]:
         raise ValueError(f"path must hold triangles: {path} has no faces")
     vertices, faces, _ = mesh.weld(corners.reshape(-1, 3), torch.arange(3 * len(corners)).reshape(-1, 3))
     return [Part(path.stem, vertices, faces)]
+
+
+def _check_whole_stl(path: Path) -> None:
+    """Refuse an .stl that is cut short, of which trimesh returns nothing: 84 bytes and 50 a triangle, or a text."""
+    data = path.read_bytes()
+    whole = 84 + 50 * int.from_bytes(data[80:84], "little")
+    if len(data) >= whole:
+        return
+    if not data.lstrip()[:5].lower() == b"solid":
+        raise ValueError(f"{path} is cut short: {len(data)} of {whole} bytes")
+    if b"endsolid" not in data[-1024:].lower():
+        raise ValueError(f"{path} is cut short: its last line is no endsolid")
 
 
 READERS: dict[str, Callable[[Path], list[Part]]] = {

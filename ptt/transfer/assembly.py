@@ -21,7 +21,7 @@ from ptt.models.indirect import COARSE, COARSEST, ORDER, responses
 from ptt.models.slots import Slot, slots_of
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.models.transfer_model import Highlights
-from ptt.ops import haar, transfer
+from ptt.ops import haar, kinds, transfer
 from ptt.ops.constants import BITS
 from ptt.ops.hemispheres import SHARES
 from ptt.ops.sphere import Cube
@@ -134,6 +134,9 @@ def assemble(
 
     Sun et al. 2007, sections 3.1, 3.3 and 4.3.
     """
+    kinds.check("raw", raw, RawTransfer)
+    kinds.check("brdf", brdf, TensorBRDF)
+    kinds.check("basis", basis, BRDFBasis)
     if raw.resolution < COARSE:
         raise ValueError(f"clusters need a resolution of at least {COARSE}, got {raw.resolution}")
     if len(basis.space.samples) != len(brdf.space.samples):

@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from ptt.models.clustered_transfer import STORAGE, WIDTH, ClusteredTransfer, in_blocks
 from ptt.models.transfer_model import TransferModel
-from ptt.ops import cpca
+from ptt.ops import cpca, kinds
 from ptt.ops.constants import MOST_LOBES
 from ptt.ops.octahedral import tiles
 from ptt.ops.sphere import Cube
@@ -73,6 +73,8 @@ def cluster(transfer: Transfer, clusters: Clusters = Clusters(), *, progress: bo
     Raises:
         ValueError: the bytes are too few for one cluster a region, or the most eigenvectors do not meet the error.
     """
+    kinds.check("transfer", transfer, Transfer)
+    kinds.check("clusters", clusters, Clusters)
     own = transfer.raw.receivers
     regions = [_RegionTransfer(transfer, r) for r in range(len(own.names))]
     if clusters.bytes is not None:

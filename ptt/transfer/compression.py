@@ -10,6 +10,7 @@ from ptt.materials.varying import SurfaceMaterial
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.tensor_brdf import TensorBRDF, usual_ranks
 from ptt.models.transfer_model import Highlights, SparseTransfer, TransferModel
+from ptt.ops import kinds
 from ptt.ops.haar import Truncated
 from ptt.ops.sphere import Cube
 from ptt.transfer.assembly import assemble, direct_light
@@ -56,6 +57,10 @@ def compress(
 
     Sun et al. 2007, sections 3.3 and 4.3; Ng et al. 2003 for the weighting by area.
     """
+    kinds.check("raw", raw, RawTransfer)
+    kinds.check("brdf", brdf, (TensorBRDF, type(None)))
+    kinds.check("basis", basis, (BRDFBasis, type(None)))
+    kinds.check("clusters", clusters, (Clusters, type(None)))
     if highlights not in (*get_args(Highlights), None):
         raise ValueError(f"highlights must be one of {', '.join(get_args(Highlights))}, got {highlights!r}")
     if clusters is None and highlights == "lobes":

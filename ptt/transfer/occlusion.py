@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from ptt.ops import kinds
 from ptt.ops.transfer import gather_directions
 from ptt.scene.scene import Scene
 
@@ -20,6 +21,7 @@ def ambient_occlusion(scene: Scene, rays: int = 256, progress: bool = False) -> 
     Raises:
         ValueError: rays < 1.
     """
+    kinds.check("scene", scene, Scene)
     if rays < 1:
         raise ValueError(f"rays must be at least 1, got {rays}")
     local = gather_directions(rays).float()

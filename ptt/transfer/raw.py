@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from ptt.io import saved
 from ptt.models.receivers import Receivers
-from ptt.ops import transfer
+from ptt.ops import kinds, transfer
 from ptt.ops.constants import MEETS
 from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.sphere import Cube
@@ -116,6 +116,7 @@ def precompute(
 
     Sun et al. 2007, sections 3.3 and 4.3.
     """
+    kinds.check("scene", scene, Scene)
     if resolution not in (2, 4, 8, 16, 32, 64, 128):
         raise ValueError(f"resolution must be a power of two from 2 to 128, got {resolution}")
     if bounces not in (0, 1, 2) or rays < 16:

@@ -286,6 +286,19 @@ def test_bad_contents_are_refused(tmp_path: Path) -> None:
         ptt.load_scene(_ply(tmp_path / "b.ply", "0 0 0\n1 nan 0\n0 0 1", "3 0 1 2"))
 
 
+@pytest.mark.parametrize(
+    ("kind", "message"), [("stl", r"cut short: 3334 of 4084 bytes"), ("stl_ascii", "cut short: its last")]
+)
+def test_an_stl_that_is_cut_short_is_refused(tmp_path: Path, kind: str, message: str) -> None:
+    """A ball of 80 triangles has 84 + 80 * 50 bytes in binary; 15 triangles less, or half the text, is no mesh."""
+    data = trimesh.creation.icosphere(subdivisions=1).export(file_type=kind)
+    cut = data[:3334] if isinstance(data, bytes) else data[: len(data) // 2].encode()
+    path = tmp_path / "ball.stl"
+    path.write_bytes(cut)
+    with pytest.raises(ValueError, match=message):
+        ptt.load_scene(path)
+
+
 def test_stl_vertices_are_joined_and_smooth(tmp_path: Path) -> None:
     v, f = mesh.sphere_mesh(2)
     trimesh.Trimesh(v.numpy(), f.numpy(), process=False).export(tmp_path / "ball.stl")
