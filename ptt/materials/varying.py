@@ -290,10 +290,11 @@ def same(a: SurfaceMaterial, b: SurfaceMaterial) -> bool:
     """Tell whether two materials reflect alike: of one kind, with equal values and maps."""
     if type(a) is not type(b) or to_config(a) != to_config(b):
         return False
-    return all(map(_same_map, a.maps, b.maps))
+    return all(map(same_map, a.maps, b.maps))
 
 
-def _same_map(a: Map | None, b: Map | None) -> bool:
+def same_map(a: Map | None, b: Map | None) -> bool:
+    """Whether two maps have the same values, and textures wrap alike."""
     if isinstance(a, Texture) and isinstance(b, Texture):
         return a.wrap == b.wrap and torch.equal(a.pixels, b.pixels)
     return a is b or (isinstance(a, Tensor) and isinstance(b, Tensor) and torch.equal(a, b))

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ptt.materials.material import blinn_phong
 from ptt.materials.textures import Texture
-from ptt.materials.varying import SurfaceMaterial, same
+from ptt.materials.varying import SurfaceMaterial, same, same_map
 from ptt.ops import mesh
 from ptt.scene.bumps import BumpMap
 
@@ -181,8 +181,8 @@ def join(name: str, parts: Sequence[Part]) -> Part:
     """
     first = parts[0]
     if not all(
-        _same_texture(p.texture, first.texture)
-        and _same_texture(p.glow, first.glow)
+        same_map(p.texture, first.texture)
+        and same_map(p.glow, first.glow)
         and p.bumps is first.bumps
         and _same_material(p.material, first.material)
         for p in parts
@@ -220,12 +220,6 @@ def transformed(part: Part, matrix: Tensor) -> Part:
         faces=part.faces.flip(1) if mirror else part.faces,
         normals=normals,
     )
-
-
-def _same_texture(a: Texture | Tensor | None, b: Texture | Tensor | None) -> bool:
-    if isinstance(a, Texture) and isinstance(b, Texture):
-        return a.pixels is b.pixels and a.wrap == b.wrap
-    return a is b
 
 
 def _same_material(a: SurfaceMaterial | None, b: SurfaceMaterial | None) -> bool:
