@@ -27,6 +27,7 @@ def test_examples_run(name: str) -> None:
 def test_tables_are_drawn_from_the_results(path: Path) -> None:
     text = path.read_text()
     assert table.draw(text) == text, "run: python -m bench.table"
+    assert "not measured yet" not in text, "a table names rows that are not there"
 
 
 def test_the_citation_is_of_this_version() -> None:

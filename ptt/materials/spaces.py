@@ -289,7 +289,8 @@ class BRDFSpace:
             if family.first.model == shape.model:
                 valid, got = (", ".join(shapes.parameters(s)) for s in (family.first, shape))
                 raise ValueError(f"{shape.model} must have {valid} here, got {got}")
-        raise ValueError(f"the model's space holds {self._models} shapes, got {shape.model}")
+        other = "compress with editable=[...] that names it, or fit a space that holds it"
+        raise ValueError(f"the model's space holds {self._models} shapes, got {shape.model}: {other}")
 
     def _between(self, start: Shape, end: Shape, t: float) -> Shape:
         """The shape at t in 0..1 of the way."""

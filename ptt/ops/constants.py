@@ -105,8 +105,8 @@ SUMMED_IN_HALVES = 320
 """Triangles whose products are summed in float16 before the sum is widened to float32. A trial at 1280 triangles:
 longer runs are no faster; each of ten roundings errs by 2^-11 at most."""
 
-LARGEST_WORD = 32000
-"""The largest number that `expand` writes to int16, which ends at 32,767: sums may round beyond their bound."""
+LARGEST_WORD = 32767
+"""The largest number that `expand` writes to int16, of the largest sum of a row."""
 
 TINY = 1e-30
 """What a divisor is at least: far below any light, far above the smallest float32."""

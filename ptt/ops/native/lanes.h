@@ -76,17 +76,17 @@ static inline void store(Half *p, Lanes x) {
 #endif
 }
 
-// to the nearest whole number
-static inline void store(int16_t *p, Lanes x) {
+// A group of values, to the nearest whole numbers.
+static inline void store_group(int16_t *p, const Lanes *x) {
 #if defined(__AVX512F__)
-    const Words words = __builtin_convertvector((Ints)_mm512_cvtps_epi32((__m512)x), Words);
-#elif defined(__AVX__)
-    const Words words = __builtin_convertvector((Ints)_mm256_cvtps_epi32((__m256)x), Words);
-#else
-    Words words;
-    for (int l = 0; l < LANES; ++l) words[l] = (int16_t)std::lrint(x[l]);
-#endif
+    const Words words = __builtin_convertvector((Ints)_mm512_cvtps_epi32((__m512)*x), Words);
     std::memcpy(p, &words, sizeof words);
+#elif defined(__AVX2__)
+    const __m256i halves = _mm256_packs_epi32(_mm256_cvtps_epi32((__m256)x[0]), _mm256_cvtps_epi32((__m256)x[1]));
+    _mm256_storeu_si256((__m256i *)p, _mm256_permute4x64_epi64(halves, 0xd8));
+#else
+    for (int l = 0; l < GROUP; ++l) p[l] = (int16_t)std::lrint(x[l / LANES][l % LANES]);
+#endif
 }
 
 static inline Lanes gather(const float *p, Ints index) {
@@ -199,6 +199,10 @@ static inline Ints lane() {
 }
 static inline Lanes most(Lanes x, Lanes y) { return x > y ? x : y; }
 static inline Lanes least(Lanes x, Lanes y) { return x < y ? x : y; }
+static inline float largest(Lanes x) {
+    for (int half = LANES / 2; half; half /= 2) x = most(__builtin_shuffle(x, lane() ^ half), x);
+    return x[0];
+}
 static inline Ints clamp(Ints i, int last) {
     i = i < 0 ? Ints{} : i;
     return i > last ? last - Ints{} : i;
