@@ -41,11 +41,13 @@ def four_forms(
     """Rows of the time of a frame after a change of the view, of a material, or of the light, in each form.
 
     The forms take turns in blocks, so that the machine's mood is theirs alike, and that no frame waits for the threads
-    of another form, which spin for a while.
+    of another form, which spin for a while. With and without torch.compile it is one relighter, since where in memory
+    two of them lie makes one or the other faster.
 
     make: a relighter, by kernels or by torch alone; material, view: the k-th that the user chooses
     """
-    relighters = {form: made(make(kernels), fused) for form, (kernels, fused) in FORMS.items()}
+    by = {kernels: make(kernels) for kernels in (False, True)}
+    relighters = {form: made(by[kernels], fused) for form, (kernels, fused) in FORMS.items()}
     for step, change in changes(light, material, view).items():
         seconds: dict[str, list[float]] = {form: [] for form in FORMS}  # medians of blocks
         for _ in range(BLOCKS):

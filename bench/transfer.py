@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import os
 import resource
+import tempfile
 import time
 import warnings
 from concurrent.futures import ProcessPoolExecutor
@@ -107,15 +108,18 @@ def built(
     start = time.perf_counter()
     raw = ptt.precompute(scene, 2, progress=True)
     traced = time.perf_counter()
-    models = {"own": ptt.compress(raw, editable=[space], clusters=OWN, progress=True)}
+    own_model = ptt.compress(raw, editable=[space], clusters=OWN, progress=True)
     own = time.perf_counter() - start
+    own_peak = peak_memory()
+    path = kept(own_model)
+    del own_model  # so that the peak is that of one model at a time
     begun = time.perf_counter()
     brdf = ptt.TensorBRDF.fit(space, ranks=case.ranks, separated=case.lobes)
     basis = ptt.BRDFBasis.fit(space, case.functions)
     fitted = time.perf_counter()
     transfer = ptt.assemble(raw, brdf, basis, 96, progress=True)
     assembled = time.perf_counter()
-    models["tensor"] = ptt.cluster(transfer, OWN, progress=True)
+    models = {"tensor": ptt.cluster(transfer, OWN, progress=True)}
     done = time.perf_counter()
     models["paper"] = ptt.cluster(transfer, PAPER)
     paper_seconds = time.perf_counter() - done
@@ -134,8 +138,10 @@ def built(
     table.row(f"{what}, all", traced - start + done - begun, "s", f"own settings; {how}", goal, paper=said)
     by_default = f"narrow lobes, the default; {v} vertices; {setting()}"
     table.row(f"{what}, all, own", own, "s", by_default, goal, paper=said)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 2**30
-    table.row(f"{what}, peak memory", peak, "GiB", how, "<= 12")
+    table.row(f"{what}, peak memory, own", own_peak, "GiB", by_default, "<= 12")
+    table.row(f"{what}, peak memory", peak_memory(), "GiB", how, "<= 12")
+    models = {"own": ptt.TransferModel.load(path), **models}
+    path.unlink()
     for key, model in models.items():
         clusters = sum(len(region.columns) for region in model.clustered)
         eigenvectors = model.clustered[0].eigenvectors
@@ -146,6 +152,18 @@ def built(
         table.row(f"{name}, storage, {key}", model.bytes / 1e6, "MB", how, goal, paper=said)
         table.row(f"{name}, storage of visibility, {key}", _visibility(model) / 1e6, "MB", how)
     return raw, transfer, models
+
+
+def peak_memory() -> float:
+    """The most memory that this process has had so far, in GiB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 2**30
+
+
+def kept(model: ptt.TransferModel) -> Path:
+    """A file of its own that holds a model for now."""
+    path = Path(tempfile.mkdtemp()) / "model.safetensors"
+    model.save(path)
+    return path
 
 
 def _visibility(model: ptt.TransferModel) -> int:
