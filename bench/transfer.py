@@ -111,7 +111,9 @@ def built(
     own_model = ptt.compress(raw, editable=[space], clusters=OWN, progress=True)
     own = time.perf_counter() - start
     own_peak = peak_memory()
-    path = kept(own_model)
+    aside = tempfile.TemporaryDirectory()
+    path = Path(aside.name) / "own.safetensors"
+    own_model.save(path)
     del own_model  # so that the peak is that of one model at a time
     begun = time.perf_counter()
     brdf = ptt.TensorBRDF.fit(space, ranks=case.ranks, separated=case.lobes)
@@ -141,7 +143,7 @@ def built(
     table.row(f"{what}, peak memory, own", own_peak, "GiB", by_default, "<= 12")
     table.row(f"{what}, peak memory", peak_memory(), "GiB", how, "<= 12")
     models = {"own": ptt.TransferModel.load(path), **models}
-    path.unlink()
+    aside.cleanup()
     for key, model in models.items():
         clusters = sum(len(region.columns) for region in model.clustered)
         eigenvectors = model.clustered[0].eigenvectors
@@ -157,13 +159,6 @@ def built(
 def peak_memory() -> float:
     """The most memory that this process has had so far, in GiB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 2**30
-
-
-def kept(model: ptt.TransferModel) -> Path:
-    """A file of its own that holds a model for now."""
-    path = Path(tempfile.mkdtemp()) / "model.safetensors"
-    model.save(path)
-    return path
 
 
 def _visibility(model: ptt.TransferModel) -> int:

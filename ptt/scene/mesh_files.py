@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -71,13 +72,17 @@ def _read_stl(path: Path) -> list[Part]:
 
 def _check_whole_stl(path: Path) -> None:
     """Refuse an .stl that is cut short, of which trimesh returns nothing: 84 bytes and 50 a triangle, or a text."""
-    data = path.read_bytes()
-    whole = 84 + 50 * int.from_bytes(data[80:84], "little")
-    if len(data) >= whole:
+    with path.open("rb") as file:
+        head = file.read(84)
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(0, size - 1024))
+        tail = file.read()
+    whole = 84 + 50 * int.from_bytes(head[80:], "little")
+    if size >= whole:
         return
-    if not data.lstrip()[:5].lower() == b"solid":
-        raise ValueError(f"{path} is cut short: {len(data)} of {whole} bytes")
-    if b"endsolid" not in data[-1024:].lower():
+    if head.lstrip()[:5].lower() != b"solid":
+        raise ValueError(f"{path} is cut short: {size} of {whole} bytes")
+    if b"endsolid" not in tail.lower():
         raise ValueError(f"{path} is cut short: its last line is no endsolid")
 
 
