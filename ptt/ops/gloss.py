@@ -25,6 +25,7 @@ from torch import Tensor
 
 from ptt.ops.around import Around, alone, close, from_points
 from ptt.ops.cells import Gloss, frames, octaves
+from ptt.ops.compiling import chosen
 from ptt.ops.constants import SECTORS, SHARPEST, TILTS, TINY
 from ptt.ops.directions import faces_eye
 from ptt.ops.hemispheres import Between, SplitLobes, split, split_between
@@ -90,14 +91,16 @@ def shine(
     wo = local_directions(points.position, points.frame, eye).T
     seen_at_all = faces_eye(points.dip, wo[:, 2], eye)
     frame = points.frame.movedim(2, 0)  # shape: (n, 3, 3)
+    rows = chosen(seen_at_all, AT_ONCE)
     parts = []
-    for first in range(0, len(wo), AT_ONCE):
-        some = slice(first, first + AT_ONCE)
+    for some in rows:
         near = None if around is None else around._replace(mean=around.mean[:, some], meets=around.meets[some])
         lit = light._replace(through=light.through[:, some])
         sky = _sky(seen, frame, some, between)
         parts.append(_shine(gloss, lit, frame[some], sky, wo[some], near))
-    out = torch.cat(parts) * seen_at_all[:, None]
+    at = torch.cat(rows)
+    shining = torch.cat(parts) * seen_at_all[at, None]
+    out = shining.new_zeros(len(wo), shining.shape[1]).index_copy(0, at, shining)
     return (out if share is None else out * share.T).index_select(0, points.place)
 
 
@@ -118,7 +121,7 @@ def lamp_visibility(visible: Tensor, cells: Tensor, shares: Tensor) -> Tensor:
     return seen
 
 
-def _sky(seen: Tensor, frame: Tensor, some: slice, between: Between | None) -> Sky:
+def _sky(seen: Tensor, frame: Tensor, some: Tensor, between: Between | None) -> Sky:
     """What some points see of the sky, with frames (n, 3, 3)."""
     if between is None:
         return partial(split, seen[some])

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from ptt.ops import harmonics, lobes
-from ptt.ops.compiling import spans
+from ptt.ops.compiling import chosen
 from ptt.ops.constants import TINY
 from ptt.ops.directions import faces_eye, toward
 from ptt.ops.octahedral import corners, hemi_octahedral, mix, octahedral, sampled, tiled_columns, tiled_rows
@@ -48,12 +48,6 @@ class SurfaceBlocks(NamedTuple):
     colour: Tensor | None
     cuts: Tensor
     place: Tensor
-
-    def part(self, first: int, end: int) -> SurfaceBlocks:
-        """Points first..end-1; `place` is that of all."""
-        colour = None if self.colour is None else self.colour[:, first:end]
-        rows = self.position[:, first:end], self.frame[:, :, first:end], self.dip[first:end], colour
-        return SurfaceBlocks(*rows, self.cuts[first:end], self.place)
 
 
 class LitLobes(NamedTuple):
@@ -88,13 +82,6 @@ class ViewedRegion(NamedTuple):
     sent: OutgoingLight
     lobes: LitLobes | None
 
-    def part(self, first: int, end: int) -> ViewedRegion:
-        """Blocks first..end-1; its points keep the `place` of all."""
-        w = self.sent.values.shape[-1]
-        eye = self.eye if self.eye.ndim == 1 else self.eye[:, first * w : end * w]
-        sent = OutgoingLight(*(x[first:end] for x in self.sent))
-        return ViewedRegion(self.points.part(first * w, end * w), eye, sent, self.lobes)
-
 
 def view(regions: Sequence[ViewedRegion], outgoing: Tensor) -> Tensor:
     """B (v, c) of the points of all regions; outgoing (cells, o): V without the diffuse factor, on the disk grid."""
@@ -102,43 +89,45 @@ def view(regions: Sequence[ViewedRegion], outgoing: Tensor) -> Tensor:
 
 
 def _seen(region: ViewedRegion, outgoing: Tensor) -> Tensor:
-    """B (v, c) of the points of a region."""
-    blocks = spans(len(region.sent.values), max(1, _POINTS // region.sent.values.shape[-1]))
-    parts = [_radiance(*region.part(*some), outgoing) for some in blocks]
-    return torch.cat(parts).transpose(1, 2).flatten(0, 1).index_select(0, region.points.place)
-
-
-def _radiance(
-    points: SurfaceBlocks, eye: Tensor, sent: OutgoingLight, gloss: LitLobes | None, outgoing: Tensor
-) -> Tensor:
-    """B (b, c, w) of points in blocks."""
+    """B (v, c) of the points of a region: what is diffuse of all, and the rest of blocks in which some face the eye."""
+    points, eye, sent, _ = region
     wo = local_directions(points.position, points.frame, eye)
-    values = sent.values.to(outgoing.dtype) * sent.unit[..., None]
-    o = 1 + outgoing.shape[1]
-    diffuse = values[:, :, 0]
+    diffuse = sent.values[:, :, 0].to(outgoing.dtype) * sent.unit[:, :, 0, None]
     if points.colour is not None:
-        diffuse = diffuse * _blocks(points.colour, values)
-    factors = lookup(outgoing.T.unflatten(1, (_side(outgoing), -1)), _blocks(wo, values))
-    glossy = _products(factors, values[:, :, 1:o])
-    if gloss is not None:
-        rho, leant = _leant(gloss, _blocks(wo, values))
-        sideways = -wo[:2]
-        axes = torch.cat((leant[0] * sideways[:, None], leant[1:]))
-        lit = torch.zeros_like(glossy)
-        if gloss.maps is not None:
-            seen = rho * _through(points.cuts, axes, gloss.which)
-            plane = torch.stack((_sums(points.frame[:2], sideways[:, None]), points.frame[2]))  # of all axes
-            about = _sums((gloss.turn.T @ plane)[:, :, None], leant[:, None])
-            light = light_about(gloss.maps, about.permute(2, 1, 0))
-            lit = _blocks(_sums(seen[:, None], light.permute(1, 2, 0)), values)
-        if values.shape[2] > o:
-            mean = _sums(rho[:, None], axes.transpose(0, 1))
-            axis = mean / mean.square().sum(0).clamp(min=TINY).sqrt()
-            response = (gloss.blurs.T @ rho) * harmonics.evaluate(axis.T, round(gloss.blurs.shape[1] ** 0.5)).T
-            lit = lit + _products(_blocks(response, values), values[:, :, o:])
-        glossy = glossy + lit * gloss.specular[:, None]
-    seen = faces_eye(points.dip, wo[2], eye)
-    return diffuse + glossy * _blocks(seen[None].to(wo), values)
+        diffuse = diffuse * _blocks(points.colour, diffuse)
+    facing = _blocks(faces_eye(points.dip, wo[2], eye)[None], diffuse)  # shape: (b, 1, w)
+    rows = chosen(facing.flatten(1).any(1), max(1, _POINTS // diffuse.shape[-1]))
+    parts = [_glossy(region, _blocks(wo, diffuse)[some], some, outgoing) * facing[some] for some in rows]
+    radiance = diffuse.index_add(0, torch.cat(rows), torch.cat(parts))
+    return radiance.transpose(1, 2).flatten(0, 1).index_select(0, points.place)
+
+
+def _glossy(region: ViewedRegion, towards: Tensor, some: Tensor, outgoing: Tensor) -> Tensor:
+    """What some blocks (b,) of a region reflect glossily (b, c, w) to local directions (b, 3, w)."""
+    points, _, sent, gloss = region
+    values = sent.values[some, :, 1:].to(outgoing.dtype) * sent.unit[some, :, 1:, None]
+    o = outgoing.shape[1]
+    glossy = _products(lookup(outgoing.T.unflatten(1, (_side(outgoing), -1)), towards), values[:, :, :o])
+    if gloss is None:
+        return glossy
+    rho, leant = _leant(gloss, towards)
+    sideways = -_in_line(towards[:, :2])
+    axes = torch.cat((leant[0] * sideways[:, None], leant[1:]))
+    lit = torch.zeros_like(glossy)
+    if gloss.maps is not None:
+        at = (some[:, None] * towards.shape[2] + torch.arange(towards.shape[2], device=some.device)).flatten()
+        seen = rho * _through(points.cuts, at, axes, gloss.which)
+        frame = points.frame[:, :, at]
+        plane = torch.stack((_sums(frame[:2], sideways[:, None]), frame[2]))  # of all axes
+        about = _sums((gloss.turn.T @ plane)[:, :, None], leant[:, None])
+        light = light_about(gloss.maps, about.permute(2, 1, 0))
+        lit = _blocks(_sums(seen[:, None], light.permute(1, 2, 0)), values)
+    if values.shape[2] > o:
+        mean = _sums(rho[:, None], axes.transpose(0, 1))
+        axis = mean / mean.square().sum(0).clamp(min=TINY).sqrt()
+        response = (gloss.blurs.T @ rho) * harmonics.evaluate(axis.T, round(gloss.blurs.shape[1] ** 0.5)).T
+        lit = lit + _products(_blocks(response, values), values[:, :, o:])
+    return glossy + lit * gloss.specular[:, None]
 
 
 def local_directions(position: Tensor, frame: Tensor, eye: Tensor) -> Tensor:
@@ -178,13 +167,13 @@ def blurred(maps: Tensor, axes: Tensor, level: Tensor) -> Tensor:
     return about
 
 
-def _through(cuts: Tensor, axes: Tensor, which: Tensor) -> Tensor:
-    """Fractional visibility (k, n) about local axes (3, k, n)."""
+def _through(cuts: Tensor, at: Tensor, axes: Tensor, which: Tensor) -> Tensor:
+    """Fractional visibility (k, n) of some points (n,) about local axes (3, k, n)."""
     n = _side(cuts.T)
     x, y = ((hemi_octahedral(axes.movedim(0, -1)) + 1) * (n / 2) - 0.5).unbind(-1)
     column, row = x.floor(), y.floor()
     bytes_ = cuts.view(torch.uint8)
-    first = bytes_.shape[1] * torch.arange(len(cuts), device=which.device) + which[:, None]
+    first = bytes_.shape[1] * at + which[:, None]
     left, right = ((4 * tiled_columns((column + k).clamp(0, n - 1))).long() for k in (0, 1))
     above, below = ((4 * tiled_rows((row + k).clamp(0, n - 1), n)).long() + first for k in (0, 1))
 
@@ -215,6 +204,11 @@ def _blocks(values: Tensor, like: Tensor) -> Tensor:
     """Values (x, n) as (b, x, w)."""
     blocks: Tensor = values.unflatten(1, (len(like), like.shape[-1])).transpose(0, 1)
     return blocks
+
+
+def _in_line(blocks: Tensor) -> Tensor:
+    """Values (b, x, w) as (x, n)."""
+    return blocks.transpose(0, 1).flatten(1)
 
 
 def _side(table: Tensor) -> int:

@@ -7,14 +7,13 @@ axes of the coarse lighting: those of some points' T1 under natural light.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.indirect import COARSE, COARSEST, ORDER, responses
@@ -26,6 +25,7 @@ from ptt.ops.constants import BITS
 from ptt.ops.hemispheres import SHARES
 from ptt.ops.sphere import Cube
 from ptt.transfer.bounces import CUTS, Bounces
+from ptt.transfer.filling import of_all
 from ptt.transfer.raw import RawTransfer
 
 T0_BYTES_AT_ONCE = 5e6  # what stays in the cache is transformed three times as fast
@@ -177,20 +177,21 @@ def direct_light(
     factors = brdf.u_i if raw.bounces else brdf.u_i[: kept - 1]
     weights = torch.outer(brdf.importance()[:kept], natural(grid, ALWAYS)).flatten()
     coarse = min(COARSE, grid.n)
-    parts = []
-    whole = 0.0
-    left = 0.0
-    with tqdm(total=len(raw.receivers), desc="direct light", unit=" points", disable=not progress) as bar:
-        for t0 in _blocks(raw, grid, factors):
-            fine = haar.analyse(t0[:, :kept])
-            shown = fine.flatten(1)
-            largest = haar.truncate(shown, keep * kept, weights)
-            others = haar.analyse_coarsely(t0[:, kept:], coarse)
-            parts.append((*largest, torch.cat((fine[..., :coarse, :coarse], others), 1).flatten(2)))
-            whole += float(shown.norm()) ** 2
-            left += float(shown.scatter(1, largest.indices.long(), 0.0).norm()) ** 2
-            bar.update(len(t0))
-    indices, values, coarsest = (torch.cat(part) for part in zip(*parts, strict=True))
+    texels = _t0(raw, grid, factors)
+
+    def analysed(rows: Tensor) -> tuple[Tensor, ...]:
+        t0 = texels(rows)
+        fine = haar.analyse(t0[:, :kept])
+        shown = fine.flatten(1)
+        largest = haar.truncate(shown, keep * kept, weights)
+        others = haar.analyse_coarsely(t0[:, kept:], coarse)
+        coarsest = torch.cat((fine[..., :coarse, :coarse], others), 1).flatten(2)
+        left = shown.scatter(1, largest.indices.long(), 0.0)
+        return *largest, coarsest, shown.square().sum(1), left.square().sum(1)
+
+    at_once = max(1, int(T0_BYTES_AT_ONCE / (4 * (1 + len(factors)) * grid.cells)))
+    indices, values, coarsest, *squares = of_all(len(raw.receivers), at_once, analysed, "direct light", progress)
+    whole, left = (float(each.double().sum()) for each in squares)
     return DirectTransfer(indices, values, coarsest, math.sqrt(left / whole) if whole else 0.0)
 
 
@@ -204,16 +205,17 @@ def natural(grid: Cube, means: float = 1.0) -> Tensor:
     return wavelets.flatten().float().repeat(6)
 
 
-def _blocks(raw: RawTransfer, grid: Cube, factors: Tensor) -> Iterator[Tensor]:
-    """T0 (v, i, 6, n, n) in the texel basis, some receivers at a time; the diffuse factor first."""
+def _t0(raw: RawTransfer, grid: Cube, factors: Tensor) -> Callable[[Tensor], Tensor]:
+    """T0 (b, i, 6, n, n) of points (b,), by their numbers, in the texel basis; the diffuse factor first."""
     directions = grid.directions().reshape(-1, 3).float()
     solid_angles = grid.solid_angles().reshape(-1).float()
-    block = max(1, int(T0_BYTES_AT_ONCE / (4 * (1 + len(factors)) * grid.cells)))
-    for first in range(0, len(raw.receivers), block):
-        rows = slice(first, first + block)
+
+    def t0(rows: Tensor) -> Tensor:
         visible = transfer.unpack(raw.visible[rows], grid.cells)
-        t0 = transfer.direct_transfer(visible, raw.receivers.frames[rows], directions, solid_angles, factors)
-        yield t0.unflatten(2, grid.shape)
+        found = transfer.direct_transfer(visible, raw.receivers.frames[rows], directions, solid_angles, factors)
+        return found.reshape(*found.shape[:2], *grid.shape)
+
+    return t0
 
 
 def _seen(raw: RawTransfer, progress: bool) -> Tensor:
@@ -231,14 +233,13 @@ def _cuts(raw: RawTransfer, angles: Sequence[float], progress: bool) -> Tensor:
 def _of_visibility(
     raw: RawTransfer, made: Callable[[Tensor, Tensor, Cube], Tensor], what: str, progress: bool
 ) -> Tensor:
-    """What is made (v, ...) of the visibility and the frames of all points, some at a time."""
+    """What is made (v, ...) of the visibility and the frames of all points."""
     grid = Cube(raw.resolution)
-    parts = []
-    with tqdm(total=len(raw.receivers), desc=what, unit=" points", disable=not progress) as bar:
-        for visible, frames in zip(raw.visible.split(512), raw.receivers.frames.split(512), strict=True):
-            parts.append(made(visible, frames, grid))
-            bar.update(len(frames))
-    return torch.cat(parts)
+
+    def values(rows: Tensor) -> tuple[Tensor]:
+        return (made(raw.visible[rows], raw.receivers.frames[rows], grid),)
+
+    return of_all(len(raw.receivers), 512, values, what, progress)[0]
 
 
 def _axis_count(points: int, slots: int, bounces: int, max_memory: float) -> int:
@@ -280,22 +281,16 @@ def _no_indirect(points: int) -> IndirectTransfer:
 
 
 def _indirect(bounces: Bounces, weights: PictureWeights, count: int, progress: bool) -> IndirectTransfer:
-    v = len(bounces.raw.receivers)
     axes, largest = _principal_lighting(bounces, weights, count)
     bounces.change_lighting(weights.light[:, None] * axes)
     scale = LARGEST_STORED / max(largest, 1e-30)
-    t1 = torch.empty(v, len(bounces.slots), ORDER**2, axes.shape[1], dtype=torch.float16)
-    _fill(t1, lambda rows: bounces.first_bounce(rows) * scale, "one bounce", progress)
+
+    def once(rows: Tensor) -> tuple[Tensor]:
+        return ((bounces.first_bounce(rows) * scale).half(),)
+
+    (t1,) = of_all(len(bounces.raw.receivers), POINTS_AT_ONCE, once, "one bounce", progress)
     back = axes.T / weights.light  # shape: (l', l)
     return IndirectTransfer(t1, _t2(bounces, t1, back, progress), back, scale)
-
-
-def _fill(out: Tensor, values: Callable[[Tensor], Tensor], what: str, progress: bool) -> None:
-    """Fill out (v, ...) with the values of some points (b,) after the other."""
-    with tqdm(total=len(out), desc=what, unit=" points", disable=not progress) as bar:
-        for rows in torch.arange(len(out)).split(POINTS_AT_ONCE):
-            out[rows[0] : rows[-1] + 1] = values(rows)
-            bar.update(len(rows))
 
 
 def _principal_lighting(bounces: Bounces, weights: PictureWeights, count: int) -> tuple[Tensor, float]:
@@ -315,13 +310,17 @@ def _principal_lighting(bounces: Bounces, weights: PictureWeights, count: int) -
 
 def _t2(bounces: Bounces, t1: Tensor, back: Tensor, progress: bool) -> Tensor:
     """T2 (v, q', q, l'') from T1 (v, q, s, l') of all points; back (l', l): from its lighting to the coarse basis."""
-    v, q = t1.shape[:2]
     if bounces.raw.bounces < 2:
-        return torch.zeros(v, 0, 0, 6 * COARSEST**2, dtype=torch.float16)
+        return torch.zeros(len(t1), 0, 0, 6 * COARSEST**2, dtype=torch.float16)
     coarsest = torch.zeros(6, COARSE, COARSE, dtype=torch.bool)
     coarsest[:, :COARSEST, :COARSEST] = True
     lighting = back[:, coarsest.flatten()]
-    arriving = torch.cat([(part.float() @ lighting).half() for part in t1.split(1024)]).transpose(1, 2).contiguous()
-    t2 = torch.empty(v, q, q, lighting.shape[1], dtype=torch.float16)
-    _fill(t2, lambda rows: bounces.second_bounce(rows, arriving), "two bounces", progress)
-    return t2
+    v, q, s, _ = t1.shape
+    arriving = torch.empty(v, s, q, lighting.shape[1], dtype=torch.float16)
+    for own, out in zip(t1.split(1024), arriving.split(1024), strict=True):
+        out.copy_((own.float() @ lighting).transpose(1, 2))
+
+    def twice(rows: Tensor) -> tuple[Tensor]:
+        return (bounces.second_bounce(rows, arriving).half(),)
+
+    return of_all(v, POINTS_AT_ONCE, twice, "two bounces", progress)[0]

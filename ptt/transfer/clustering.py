@@ -120,10 +120,8 @@ class _RegionTransfer:
         self.cut = transfer.highlights == "tensor" and bool(transfer.brdf.angles) and (own.editable[region] or shines)
         one = transfer.indirect.one[first:end]
         two = transfer.indirect.two[first:end]
-        lit = one.abs().amax((0, 2, 3)) > 0 if one.numel() else torch.zeros(0)
-        again = two.abs().amax((0, 3)) > 0 if two.numel() else torch.zeros(0, 0)
-        self.slots = torch.nonzero(lit)[:, 0]
-        self.pairs = torch.nonzero(again)
+        self.slots = torch.nonzero((one != 0).any(dim=(0, 2, 3)))[:, 0]
+        self.pairs = torch.nonzero((two != 0).any(dim=(0, 3)))
 
     @property
     def points(self) -> int:
@@ -203,7 +201,10 @@ class _RegionTransfer:
         shuffled = torch.randperm(self.points, generator=torch.Generator().manual_seed(0))
         some = shuffled[:SKETCHED_POINTS].sort().values
         directions = cpca.basis(self._features(some), min(SKETCH_DIRECTIONS, len(some)))
-        return torch.cat([self._features(part) @ directions.T for part in torch.arange(self.points).split(512)])
+        x = torch.empty(self.points, len(directions), dtype=torch.float32)
+        for rows in torch.arange(self.points).split(512):
+            x[rows] = self._features(rows) @ directions.T
+        return x
 
     def _features(self, rows: Tensor) -> Tensor:
         """T0, T1 and T2 of some points (v,), weighted by what they add to the picture, side by side."""

@@ -7,7 +7,6 @@ from os import PathLike
 
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from ptt.io import saved
 from ptt.models.receivers import Receivers
@@ -16,6 +15,7 @@ from ptt.ops.constants import MEETS
 from ptt.ops.octahedral import HemiOctahedral
 from ptt.ops.sphere import Cube
 from ptt.scene.scene import Scene
+from ptt.transfer.filling import of_all
 
 POINTS_AT_ONCE = 128  # about 1.5 million rays
 RAYS = 512  # default, over a hemisphere, for light from other surfaces: more take time and leave less noise
@@ -128,19 +128,19 @@ def precompute(
     local = transfer.gather_directions(rays if bounces else 0)
     axes = HemiOctahedral(MEETS).directions().reshape(-1, 3)[: None if bounces else 0]
     random = torch.Generator().manual_seed(0)
-    visible = []
-    hits = []
-    meets = []
-    with tqdm(total=len(receivers), desc="rays", unit=" points", disable=not progress) as bar:
-        for positions, frames in zip(
-            receivers.positions.split(POINTS_AT_ONCE), receivers.frames.split(POINTS_AT_ONCE), strict=True
-        ):
-            visible.append(transfer.visibility(scene.surface, positions, frames[:, 2], directions))
-            u = torch.rand(len(positions), len(local), generator=random, dtype=torch.float32)
-            hits.append(transfer.gather(scene.surface, scene.faces, positions, frames, local, u))
-            meets.append(transfer.meets(scene.surface, scene.faces, receivers.frames, positions, frames, axes))
-            bar.update(len(positions))
-    return RawTransfer(receivers, torch.cat(visible), torch.cat(hits), torch.cat(meets), resolution, bounces)
+
+    def met(rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        points = receivers.positions[rows]
+        frames = receivers.frames[rows]
+        u = torch.rand(len(rows), len(local), generator=random, dtype=torch.float32)
+        return (
+            transfer.visibility(scene.surface, points, frames[:, 2], directions),
+            transfer.gather(scene.surface, scene.faces, points, frames, local, u),
+            transfer.meets(scene.surface, scene.faces, receivers.frames, points, frames, axes),
+        )
+
+    visible, hits, meets = of_all(len(receivers), POINTS_AT_ONCE, met, "rays", progress)
+    return RawTransfer(receivers, visible, hits, meets, resolution, bounces)
 
 
 def _checked(index: Tensor | None, vertices: int) -> Tensor | None:
