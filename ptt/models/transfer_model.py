@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import Any, Literal, NamedTuple
@@ -18,6 +17,7 @@ from ptt.models.receivers import Receivers
 from ptt.models.slots import Slot, slots_of
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.ops.haar import Truncated
+from ptt.ops.sparse import csr
 from ptt.ops.sphere import Cube
 
 KIND = "transfer model"
@@ -64,11 +64,7 @@ class SparseTransfer(NamedTuple):
 
     def to_csr(self, length: int) -> Tensor:
         """A sparse CSR matrix (i * v, l)."""
-        starts = nn.functional.pad(self.kept.flatten().cumsum(0), (1, 0)).int()
-        size = self.kept.numel(), length
-        with torch.sparse.check_sparse_tensor_invariants(enable=False), warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Sparse CSR tensor support is in beta")
-            return torch.sparse_csr_tensor(starts, self.columns.int(), self.values, size=size)
+        return csr(nn.functional.pad(self.kept.flatten().cumsum(0), (1, 0)), self.columns, self.values, length)
 
 
 def _column_type(length: int) -> torch.dtype:

@@ -24,7 +24,6 @@ Example, the sphere turned by half a turn about y:
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from functools import cache
 from typing import NamedTuple
@@ -35,7 +34,7 @@ from torch import Tensor
 
 from ptt.ops import haar
 from ptt.ops.octahedral import Octahedral, mix
-from ptt.ops.sparse import product
+from ptt.ops.sparse import csr, product
 from ptt.ops.sphere import Grid
 from ptt.ops.table import Table, stored
 from ptt.ops.transforms import active, beneath, outside
@@ -269,15 +268,6 @@ def check_frames(frames: Tensor) -> None:
         raise ValueError(
             f"frames must have orthonormal rows tangent, bitangent, normal: off by {off:.2g}; see frames_of"
         )
-
-
-def csr(starts: Tensor, columns: Tensor, values: Tensor, width: int) -> Tensor:
-    """A sparse CSR matrix (rows, width)."""
-    size = len(starts) - 1, width
-    kind = torch.int32 if len(values) < 1 << 31 else torch.int64
-    with torch.sparse.check_sparse_tensor_invariants(enable=False), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Sparse CSR tensor support is in beta")
-        return torch.sparse_csr_tensor(starts.to(kind), columns.to(kind), values, size=size)
 
 
 def _blocks(frames: Tensor, each: int) -> Iterator[Tensor]:

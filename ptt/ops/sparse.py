@@ -1,7 +1,8 @@
-"""Products of sparse matrices that torch.func can differentiate, as torch's own cannot."""
+"""Sparse matrices, and products of them that torch.func can differentiate, as torch's own cannot."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,6 +45,15 @@ class _Product(torch.autograd.Function):
     @staticmethod
     def jvp(ctx: Any, tangent: Tensor, _: None) -> Tensor:
         return _product(tangent, ctx.held)
+
+
+def csr(starts: Tensor, columns: Tensor, values: Tensor, width: int) -> Tensor:
+    """A sparse CSR matrix (rows, width): row r has the values (n,) starts[r]..starts[r + 1] - 1, in columns (n,)."""
+    size = len(starts) - 1, width
+    kind = torch.int32 if len(values) < 1 << 31 else torch.int64
+    with torch.sparse.check_sparse_tensor_invariants(enable=False), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Sparse CSR tensor support is in beta")
+        return torch.sparse_csr_tensor(starts.to(kind), columns.to(kind), values, size=size)
 
 
 def product(matrix: Tensor, dense: Tensor) -> Tensor:

@@ -22,11 +22,13 @@ from ptt.models.transfer_model import TransferModel
 from ptt.ops import cpca, kinds
 from ptt.ops.constants import MOST_LOBES
 from ptt.ops.octahedral import tiles
+from ptt.ops.sparse import csr
 from ptt.ops.sphere import Cube
 from ptt.transfer.assembly import ALWAYS, Transfer, natural
 
 SKETCH_DIRECTIONS = 256  # common directions of the features: more take longer and lose less of them
 SKETCHED_POINTS = 1024  # points that decide those directions: in a trial 512 and 2048 left the same error
+POINTS_AT_ONCE = 64  # whose features are worked out together: of 512 half of the time went into fresh memory
 TRIED_EIGENVECTORS = (8, 16, 24, 32, 48, 64)  # numbers of eigenvectors that are tried for a given error
 DEPENDENT = 1e-6  # an eigenvector whose part at right angles to those before it is relatively smaller is left out
 
@@ -202,7 +204,7 @@ class _RegionTransfer:
         some = shuffled[:SKETCHED_POINTS].sort().values
         directions = cpca.basis(self._features(some), min(SKETCH_DIRECTIONS, len(some)))
         x = torch.empty(self.points, len(directions), dtype=torch.float32)
-        for rows in torch.arange(self.points).split(512):
+        for rows in torch.arange(self.points).split(POINTS_AT_ONCE):
             x[rows] = self._features(rows) @ directions.T
         return x
 
@@ -212,17 +214,17 @@ class _RegionTransfer:
         coarse = self.transfer.direct.coarse[rows + self.first, : len(weights.factors)]
         t0 = coarse * weights.factors[:, None] * weights.light
         t1, t2 = self._indirect(rows)
-        t1 = t1 * weights.of_t1(self.slots)
-        t2 = t2 * (weights.slots[self.pairs].prod(1)[:, None] * weights.harmonics[0])
+        t1 *= weights.of_t1(self.slots)
+        t2 *= weights.slots[self.pairs].prod(1)[:, None] * weights.harmonics[0]
         return torch.cat((t0.flatten(1), t1.flatten(1), t2.flatten(1)), 1)
 
     def _indirect(self, rows: Tensor) -> tuple[Tensor, Tensor]:
         """T1 (v, q, s, l') and T2 (v, pairs, l'') of some points (v,)."""
         indirect = self.transfer.indirect
         rows = rows + self.first
-        t1 = indirect.one.index_select(0, rows).float().index_select(1, self.slots)
-        t2 = indirect.two.index_select(0, rows).float()[:, self.pairs[:, 0], self.pairs[:, 1]]
-        return t1 / indirect.scale, t2 / indirect.scale
+        t1 = indirect.one.index_select(0, rows).index_select(1, self.slots)
+        t2 = indirect.two.index_select(0, rows)[:, self.pairs[:, 0], self.pairs[:, 1]]
+        return t1.float().div_(indirect.scale), t2.float().div_(indirect.scale)
 
     def _eigen_points(self, rows: Tensor, combination: Tensor, clusters: Clusters) -> tuple[Tensor, ...]:
         """Columns, T0, lighting, T1 and T2 of a cluster's eigen-points, which are combinations (v, e) of its points."""
@@ -243,11 +245,13 @@ class _RegionTransfer:
         direct = self.transfer.direct
         grid = Cube(self.transfer.raw.resolution)
         factors = len(self.transfer.weights.factors)
-        index = direct.indices[rows + self.first].long()
-        t0 = torch.zeros(factors * grid.cells, combination.shape[1], dtype=torch.float32)
-        values = direct.values[rows + self.first][..., None] * combination[:, None]
-        t0 = t0.index_add_(0, index.flatten(), values.flatten(0, 1)).unflatten(0, (factors, grid.cells))
-        energy = (t0.square().sum(2) * self.transfer.weights.factors[:, None].square()).sum(0)
+        index = direct.indices[rows + self.first]
+        n, kept = index.shape
+        own = direct.values[rows + self.first].flatten()
+        points = csr(torch.arange(n + 1) * kept, index.flatten(), own, factors * grid.cells)
+        t0 = (points.transpose(0, 1) @ combination).unflatten(0, (factors, grid.cells))
+        size = torch.linalg.vector_norm(t0, dim=2) * self.transfer.weights.factors[:, None]
+        energy = size.square().sum(0)
         weighed = energy * natural(grid, ALWAYS).square()
         columns = weighed.topk(min(clusters.columns, grid.cells)).indices.sort().values
         return columns, t0[:, columns].permute(1, 2, 0).flatten(1)
