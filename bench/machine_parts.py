@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -19,6 +20,7 @@ from bench.forms import FORMS, made
 from bench.frames import balls, bytes_read, dressed, steps
 from bench.table import ROOT, median_seconds, read_bandwidth, setting
 from ptt.cli import kept_model
+from ptt.ops import native
 
 NUMBERS = count(1)
 SHARES = {"view": (350, 0.4), "view and BRDF": (150, 0.25), "view, BRDF and light": (80, 0.4)}
@@ -116,6 +118,34 @@ def engine() -> None:
                 row(f"{what}, {form}, {step}, share of the limit", 1 / seconds / limit, "", how, f">= {share}")
     for step, rate in rates["kernels"].items():
         row(f"{what}, kernels over eager, {step}", rate / rates["eager"][step], "", "same run", "<= 10")
+    bounds(what, model, scene, light, material)
+
+
+def bounds(
+    what: str, model: ptt.TransferModel, scene: ptt.Scene, light: ptt.Environment, material: ptt.Material
+) -> None:
+    """What bounds the kernels where it is not the bytes: arithmetic, and work that a second thread halves."""
+    relighter = ptt.TransferRelighter(model)
+    steps: Any = relighter.steps
+    lit = steps.incident(light)
+    sent = steps.exitant(lit, relighter.chosen(dressed(scene, material)))
+    square = torch.rand(2048, 2048)
+    peak = 2 * 2048**3 / median_seconds(lambda: square @ square)
+    seconds = products = 0.0
+    for region, layers in zip(model.clustered, sent.layers, strict=True):
+        rows = layers[0].sent.values.shape[2]
+        eigen = torch.rand(len(region.columns), 3, region.eigenvectors, rows)
+        seconds += median_seconds(lambda: native.expand(eigen, region.weights, region.cluster), 40)  # noqa: B023
+        products += 2 * region.weights.numel() * 3 * rows
+    how = f"{products / 1e6:.0f} million products and sums a frame; torch's 2048 x 2048 ones: {peak / 1e9:.0f} GFLOP/s"
+    row(f"{what}, expand over torch's product of matrices, rate of arithmetic", products / seconds / peak, "", how)
+    eye = torch.tensor(scene.camera.eye)
+    spent = []
+    for threads in (1, torch.get_num_threads()):
+        torch.set_num_threads(threads)
+        spent.append(median_seconds(lambda: steps.radiance(sent, eye), 40))
+    how = "the kernel alone: near 1 where bytes bound it, near the number of threads where its own work does"
+    row(f"{what}, view, all threads over one", spent[0] / spent[1], "", how)
 
 
 def compression() -> None:
