@@ -9,7 +9,6 @@ surface stay as few as they were.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -17,11 +16,11 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from ptt.materials.varying import Map, SurfaceMaterial
 from ptt.ops import kinds, refine, transfer
 from ptt.ops.octahedral import Octahedral
 from ptt.ops.raycast import Hits
 from ptt.scene.scene import Scene
+from ptt.scene.vertices import mapped, taken
 
 ERROR = 0.05  # default: of the light of a white sky
 RAYS = 64  # over the hemisphere of a point
@@ -80,7 +79,8 @@ def finer_in_gaps(scene: Scene, error: float = ERROR, *, progress: bool = False)
     else:
         left = f"{len(sights.points)} vertices in gaps erred by more than {error:g} before the last of {ROUNDS} rounds"
         warnings.warn(f"{left}: shorter edges there need fewer", stacklevel=2)
-    return _region_by_region(scene)
+    order = scene.vertex_region.argsort(stable=True)
+    return taken(scene, order, order.argsort()[scene.faces])
 
 
 def _sky_seen(scene: Scene, points: Tensor, normals: Tensor, sky: Octahedral) -> Tensor:
@@ -156,26 +156,4 @@ def _with_vertices(scene: Scene, triangle: Tensor, barycentric: Tensor) -> Scene
     faces = scene.faces.clone()
     faces[triangle] = torch.stack((a, b, middle), 1)
     faces = torch.cat((faces, torch.stack((b, c, middle), 1), torch.stack((c, a, middle), 1)))
-    return replace(scene, faces=faces, materials=_mapped(scene, extended), **added)
-
-
-def _region_by_region(scene: Scene) -> Scene:
-    """The scene with its vertices in the order of their regions."""
-    order = scene.vertex_region.argsort(stable=True)
-    place = torch.empty_like(order).scatter_(0, order, torch.arange(len(order)))
-    names = ("vertices", "normals", "tangents", "vertex_region", "colours", "uv", "tints")
-    given = {name: getattr(scene, name) for name in names}
-    ordered: dict[str, Any] = {name: values[order] for name, values in given.items() if values is not None}
-    return replace(scene, faces=place[scene.faces], materials=_mapped(scene, lambda given: given[order]), **ordered)
-
-
-def _mapped(scene: Scene, change: Callable[[Tensor], Tensor]) -> dict[str, SurfaceMaterial]:
-    """The scene's materials, their maps of vertices changed."""
-
-    def changed(given: Map | None) -> Map | None:
-        return change(given) if isinstance(given, Tensor) and given.ndim == 1 else given
-
-    return {
-        name: material.with_maps([changed(given) for given in material.maps]) if material.maps else material
-        for name, material in scene.materials.items()
-    }
+    return replace(scene, faces=faces, materials=mapped(scene, extended), **added)

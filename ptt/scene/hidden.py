@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from torch import Tensor
 
 from ptt.ops import kinds
 from ptt.ops.octahedral import Octahedral
 from ptt.scene.scene import Scene
+from ptt.scene.vertices import taken
 
 TRIED_SIDE = 16  # cells along an edge of the octahedral grid of directions that are tried
 DIRECTIONS_AT_ONCE = 32  # after which points that see out drop out: fewer rays, more calls
@@ -40,11 +39,7 @@ def without_hidden(scene: Scene) -> Scene:
 def only(scene: Scene, keep: Tensor) -> Scene:
     """The scene with those of its triangles that keep (f,) holds, and their vertices."""
     rows, renumbered = scene.faces[keep].unique(return_inverse=True)
-    names = ("vertices", "normals", "tangents", "vertex_region", "colours")
-    parts = {name: getattr(scene, name)[rows] for name in names}
-    optional = {"uv": scene.uv, "tints": scene.tints}
-    parts |= {name: values[rows] for name, values in optional.items() if values is not None}
-    return replace(scene, faces=renumbered, **parts)
+    return taken(scene, rows, renumbered)
 
 
 def _sees_out(scene: Scene, points: Tensor, normals: Tensor) -> Tensor:

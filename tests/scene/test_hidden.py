@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -31,6 +32,15 @@ def test_what_is_inside_goes_and_what_is_outside_stays() -> None:
     for name in ("normals", "tangents", "colours", "vertex_region"):
         assert torch.equal(getattr(found, name), getattr(alone, name))
     assert found.regions == filled.regions and found.camera == filled.camera
+
+
+def test_maps_of_vertices_go_along() -> None:
+    filled = ptt.Scene.from_parts([join("box", [ball(0.3), box(1.0)])])
+    mask = filled.vertices[:, 0] + 0.5
+    painted = replace(filled, materials={"box": ptt.Mixed(ptt.lambert(0.2), ptt.blinn_phong(), mask)})
+    found = ptt.without_hidden(painted)
+    assert len(found.vertices) < len(filled.vertices)
+    assert torch.equal(found.materials["box"].maps[0], found.vertices[:, 0] + 0.5)
 
 
 def test_nothing_goes_where_all_is_seen() -> None:
