@@ -14,7 +14,6 @@ from types import CodeType
 from typing import Any, TypeVar, cast
 
 import torch
-from torch import Tensor
 from torch._C._dynamo import eval_frame
 
 SKIPPED = eval_frame._FrameExecStrategy(eval_frame._FrameAction.SKIP, eval_frame._FrameAction.DEFAULT)
@@ -70,14 +69,6 @@ def spans(count: int, most: int) -> list[tuple[int, int]]:
     """
     each = max(1, count if torch.compiler.is_compiling() else most)
     return [(first, min(first + each, count)) for first in range(0, max(1, count), each)]
-
-
-def chosen(mask: Tensor, most: int) -> list[Tensor]:
-    """Numbers (m,) of what a mask (n,) chooses, in parts of at most so many; of all, in one part, in a graph, whose
-    shapes do not follow from values."""
-    if torch.compiler.is_compiling():
-        return [torch.arange(len(mask), device=mask.device)]
-    return list(torch.nonzero(mask)[:, 0].split(most))
 
 
 def _skip(code: CodeType) -> None:

@@ -25,11 +25,11 @@ from torch import Tensor
 
 from ptt.ops.around import Around, alone, close, from_points
 from ptt.ops.cells import Gloss, frames, octaves
-from ptt.ops.compiling import chosen
 from ptt.ops.constants import SECTORS, SHARPEST, TILTS, TINY
 from ptt.ops.directions import faces_eye
 from ptt.ops.hemispheres import Between, SplitLobes, split, split_between
 from ptt.ops.octahedral import mix
+from ptt.ops.transforms import chosen
 from ptt.ops.view import SurfaceBlocks, blurred, local_directions
 
 AT_ONCE = 4096  # points that are worked out together, so that they stay in the cache

@@ -56,6 +56,16 @@ def is_batch(tensor: Tensor) -> bool:
     return False
 
 
+def chosen(mask: Tensor, most: int) -> list[Tensor]:
+    """Numbers (m,) of what a mask (n,) chooses, in parts of at most so many.
+
+    Those of all, in one part, in a graph and for a batch of masks, where shapes do not follow from values.
+    """
+    if torch.compiler.is_compiling() or is_batch(mask):
+        return [torch.arange(len(mask), device=mask.device)]
+    return list(torch.nonzero(mask)[:, 0].split(most))
+
+
 def beneath(tensor: Tensor) -> Tensor:
     """The tensor with data that one stands for: itself, or all samples of a batch, its axis anywhere."""
     while _functorch.is_functorch_wrapped_tensor(tensor):

@@ -22,12 +22,12 @@ import torch
 from torch import Tensor
 
 from ptt.ops import harmonics, lobes
-from ptt.ops.compiling import chosen
 from ptt.ops.constants import TINY
 from ptt.ops.directions import faces_eye, toward
 from ptt.ops.octahedral import corners, hemi_octahedral, mix, octahedral, sampled, tiled_columns, tiled_rows
 from ptt.ops.relight import OutgoingLight
 from ptt.ops.transfer import lookup
+from ptt.ops.transforms import chosen
 
 BYTE = 255.0
 _POINTS = 1 << 16  # that are worked out together: in a trial of 62,777, four parts took 1.7 times as long as one
