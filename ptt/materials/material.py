@@ -42,6 +42,9 @@ class Highlight:
     shape: Shape
 
     def __init__(self, colour: Colour, shape: Shape) -> None:
+        if not isinstance(shape, Shape):
+            usual = "such as GGX(f0, roughness), or Named(name, f) of a function of your own"
+            raise ValueError(f"shape must be one of ptt.materials.shapes ({usual}), got {type(shape).__name__}")
         object.__setattr__(self, "colour", as_colour("specular", colour, math.inf))
         object.__setattr__(self, "shape", shape)
 
@@ -57,7 +60,7 @@ class Material:
     Numbers stand for grey. Tensors that require gradients are kept, so a loss on the radiance reaches them.
 
     Raises:
-        ValueError: a weight is out of its range, or specular is given without a shape.
+        ValueError: a weight is out of its range, specular is given without a shape, or the shape is none.
     """
 
     diffuse: Tensor

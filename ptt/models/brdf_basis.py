@@ -58,10 +58,11 @@ class BRDFBasis(nn.Module):
             self.register_buffer(name, tensor)
 
     @classmethod
-    def fit(cls, space: BRDFSpace, functions: int = FUNCTIONS) -> BRDFBasis:
+    def fit(cls, space: BRDFSpace, functions: int | None = None) -> BRDFBasis:
         """The principal components of a space in the norm above, by a quadrature that resolves its lobes.
 
-        functions: number of specular functions; where the space has fewer independent samples, the rest are zero
+        functions: number of specular functions; where the space has fewer independent samples, the rest are zero.
+            Default: four, or as many as there are samples
 
         The result is kept as that of `TensorBRDF.fit`.
 
@@ -69,6 +70,7 @@ class BRDFBasis(nn.Module):
             ValueError: functions are not in 1..samples.
         """
         kinds.check("space", space, BRDFSpace)
+        functions = min(FUNCTIONS, len(space.samples)) if functions is None else functions
         if not 1 <= functions <= len(space.samples):
             raise ValueError(f"functions must be in 1..{len(space.samples)}, the samples, got {functions}")
         settings = {"functions": functions}

@@ -295,3 +295,8 @@ def test_principal_components_are_sorted_and_orthonormal() -> None:
     assert bool((size[:-1] >= size[1:]).all()) and float(size[4]) == pytest.approx(0, abs=1e-12)
     assert torch.allclose(vectors.T @ vectors, torch.eye(5).double())
     assert torch.allclose(vectors * size @ vectors.T, root @ root.T)
+
+
+def test_a_space_of_few_samples_has_a_function_for_each() -> None:
+    assert BRDFBasis.fit(BRDFSpace.blinn_phong((4.0, 20.0))).table.shape == (2, 2)
+    assert BRDFBasis.fit(BRDFSpace.blinn_phong()).table.shape[1] == 4

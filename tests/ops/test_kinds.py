@@ -39,6 +39,7 @@ REFUSED: dict[str, tuple[Callable[[ptt.Scene], object], str]] = {
         lambda scene: ptt.reference.at_vertices(scene, SKY, ptt.lambert(), scene.camera),  # type: ignore[arg-type]
         "materials must map regions to materials",
     ),
+    "shape": (lambda scene: ptt.Material(0.2, 0.5, torch.dot), r"shape must be .* Named\(name, f\) of a function"),  # type: ignore[arg-type]
     "picture of the reference": (
         lambda scene: ptt.reference.image(scene, SKY, scene.materials, None),  # type: ignore[arg-type]
         "camera must be a ptt.Camera",
