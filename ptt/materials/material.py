@@ -6,18 +6,19 @@ import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import torch
 from torch import Tensor
 
 from ptt.materials import shapes
 from ptt.materials.shapes import GGX, BlinnPhong, CookTorrance, Number, Shape, Ward, check, check_number
-from ptt.ops import brdf
+from ptt.ops import brdf, kinds
 from ptt.ops.transforms import beneath, differentiated
 
 Colour = float | Sequence[float] | Tensor
 DIELECTRIC = 0.04  # reflectance straight on of glass and plastic, whose index of refraction is 1.5
+SHAPES: tuple[type, ...] = get_args(Shape)
 SMOOTHEST = 0.03  # roughness of GGX that stands for 0: a narrower lobe is a mirror
 
 
@@ -42,9 +43,7 @@ class Highlight:
     shape: Shape
 
     def __init__(self, colour: Colour, shape: Shape) -> None:
-        if not isinstance(shape, Shape):
-            usual = "such as GGX(f0, roughness), or Named(name, f) of a function of your own"
-            raise ValueError(f"shape must be one of ptt.materials.shapes ({usual}), got {type(shape).__name__}")
+        kinds.check("shape", shape, SHAPES)
         object.__setattr__(self, "colour", as_colour("specular", colour, math.inf))
         object.__setattr__(self, "shape", shape)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 MADE_BY = {
     "BRDFBasis": "BRDFBasis.fit makes one",
     "BRDFSpace": "such as BRDFSpace.ggx()",
+    "BlinnPhong": "or GGX(f0, roughness), or Named(name, f) of a function of your own",
     "Camera": "such as scene.camera",
     "Clusters": "such as ptt.Clusters(points=1000)",
     "Environment": "Environment.load reads a file",

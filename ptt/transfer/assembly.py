@@ -315,12 +315,13 @@ def _t2(bounces: Bounces, t1: Tensor, back: Tensor, progress: bool) -> Tensor:
     coarsest = torch.zeros(6, COARSE, COARSE, dtype=torch.bool)
     coarsest[:, :COARSEST, :COARSEST] = True
     lighting = back[:, coarsest.flatten()]
-    v, q, s, _ = t1.shape
-    arriving = torch.empty(v, s, q, lighting.shape[1], dtype=torch.float16)
-    for own, out in zip(t1.split(1024), arriving.split(1024), strict=True):
-        out.copy_((own.float() @ lighting).transpose(1, 2))
+
+    def arrived(rows: Tensor) -> tuple[Tensor]:
+        return ((t1[rows].float() @ lighting).half().transpose(1, 2),)
+
+    (arriving,) = of_all(len(t1), 1024, arrived)
 
     def twice(rows: Tensor) -> tuple[Tensor]:
         return (bounces.second_bounce(rows, arriving).half(),)
 
-    return of_all(v, POINTS_AT_ONCE, twice, "two bounces", progress)[0]
+    return of_all(len(t1), POINTS_AT_ONCE, twice, "two bounces", progress)[0]

@@ -25,6 +25,7 @@ from ptt.ops.octahedral import tiles
 from ptt.ops.sparse import csr
 from ptt.ops.sphere import Cube
 from ptt.transfer.assembly import ALWAYS, Transfer, natural
+from ptt.transfer.filling import of_all
 
 SKETCH_DIRECTIONS = 256  # common directions of the features: more take longer and lose less of them
 SKETCHED_POINTS = 1024  # points that decide those directions: in a trial 512 and 2048 left the same error
@@ -203,10 +204,7 @@ class _RegionTransfer:
         shuffled = torch.randperm(self.points, generator=torch.Generator().manual_seed(0))
         some = shuffled[:SKETCHED_POINTS].sort().values
         directions = cpca.basis(self._features(some), min(SKETCH_DIRECTIONS, len(some)))
-        x = torch.empty(self.points, len(directions), dtype=torch.float32)
-        for rows in torch.arange(self.points).split(POINTS_AT_ONCE):
-            x[rows] = self._features(rows) @ directions.T
-        return x
+        return of_all(self.points, POINTS_AT_ONCE, lambda rows: (self._features(rows) @ directions.T,))[0]
 
     def _features(self, rows: Tensor) -> Tensor:
         """T0, T1 and T2 of some points (v,), weighted by what they add to the picture, side by side."""

@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 
 def of_all(
-    points: int, at_once: int, values: Callable[[Tensor], Sequence[Tensor]], what: str, progress: bool
+    points: int, at_once: int, values: Callable[[Tensor], Sequence[Tensor]], what: str = "", progress: bool = False
 ) -> list[Tensor]:
     """Tensors (v, ...) of so many points, of values (b, ...) of those with some numbers (b,).
 
