@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import operator
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass
@@ -87,8 +88,9 @@ def _stamp_of(inputs: Any) -> Any:
     leaves: list[Tensor] = []
     stamp = _stamp(inputs, leaves)
     recorded = torch.is_grad_enabled()
-    if any([t.is_inference() or (recorded and t.requires_grad) for t in leaves]):
-        return None
+    for leaf in leaves:
+        if leaf.is_inference() or (recorded and leaf.requires_grad):
+            return None
     if active() and any(map(stands_in, leaves)):
         return None
     return stamp, torch.is_inference_mode_enabled()
@@ -111,10 +113,15 @@ def _stamp(value: Any, leaves: list[Tensor], given: bool = False) -> Any:
     if isinstance(value, Watch):
         leaves.extend(value.tensors)
         return value
-    if is_dataclass(value) and not isinstance(value, type):
-        return type(value), [_stamp(getattr(value, f.name), leaves, True) for f in fields(value)]
-    if isinstance(value, Mapping):
-        return [(key, _stamp(item, leaves, given)) for key, item in value.items()]
     if isinstance(value, tuple | list):
         return [_stamp(item, leaves, given) for item in value]
-    return value
+    if isinstance(value, Mapping):
+        return [(key, _stamp(item, leaves, given)) for key, item in value.items()]
+    names = _members(type(value))
+    return value if names is None else (type(value), [_stamp(getattr(value, name), leaves, True) for name in names])
+
+
+@functools.cache
+def _members(kind: type) -> tuple[str, ...] | None:
+    """The fields of a dataclass; None of another type."""
+    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else None

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from ptt.imaging.gbuffer import GBuffer
 from ptt.light.environment import Environment
 from ptt.materials.varying import SurfaceMaterial, materials_of_regions
-from ptt.models.cache import Cache, watched
+from ptt.models.cache import Cache, Kept, watched
 from ptt.ops import kinds, native
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.relight.viewpoint import View, eye_of
@@ -100,7 +100,9 @@ class Relighter(nn.Module, ABC):
     def exitant(self, environment: Any, materials: Mapping[str, Any], points: Any = None) -> Any:
         """The result of the BRDF step, which depends on the light and the materials (of every region, in order)."""
         incident = self.incident(environment)
-        inputs = self._incident.named(incident), dict(materials), watched(*self.sources()), points
+        arrived = self._incident.named(incident)
+        own = None if isinstance(arrived, Kept) else watched(*self.sources())  # what is kept was made of the same
+        inputs = arrived, dict(materials), own, points
         return self._exitant(inputs, partial(self.brdf_step, incident, list(materials.values()), points))
 
     def chosen(self, materials: Mapping[str, Any]) -> dict[str, Any]:

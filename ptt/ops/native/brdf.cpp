@@ -50,9 +50,11 @@ extern "C" int32_t ptt_eigen(const Eigen *g) {
 // Of a tile, in rows x and in vectors of w: 24 sums fill 32 registers, 12 fill 16.
 constexpr int ROWS = 6, ACROSS = LANES == 8 ? 2 : 4;
 
-// The sums (R, width) of a tile, and the largest ones of each lane so far.
+// R rows of a tile. Each row of a group has the unit of its largest sum: with that of a bound, the sum of |A| times the
+// largest |W|, rounding was five times as large on the engine, and with that of four groups it was a third larger.
 template <int R>
-static inline void expand_tile(const Expand &g, const float *a, const float *w, float *sums, Lanes *top) {
+static inline void expand_tile(const Expand &g, const float *a, const float *w, int16_t *values, float *unit) {
+    constexpr int EACH = GROUP / LANES, GROUPS = ACROSS / EACH;
     Lanes sum[R][ACROSS] = {};
     for (int64_t i = 0; i < g.factors; ++i, a += g.x, w += g.width) {
         Lanes weight[ACROSS];
@@ -60,37 +62,31 @@ static inline void expand_tile(const Expand &g, const float *a, const float *w, 
         for (int r = 0; r < R; ++r)
             for (int n = 0; n < ACROSS; ++n) sum[r][n] += a[r] * weight[n];
     }
+    Lanes top[R * GROUPS + 3] = {};
     for (int r = 0; r < R; ++r)
         for (int n = 0; n < ACROSS; ++n) {
-            store(sums + r * g.width + n * LANES, sum[r][n]);
-            top[r] = most(size(sum[r][n]), top[r]);
+            Lanes &of_group = top[r * GROUPS + n / EACH];
+            of_group = most(size(sum[r][n]), of_group);
         }
-}
-
-// R rows of a block. A row's unit is that of its largest sum: with that of a bound, the sum of |A| times the largest
-// |W|, rounding was five times as large on the engine (and a sum of two lights off by 2.4e-5 for 1.4e-5).
-template <int R>
-static inline void expand_rows(const Expand &g, const float *a, const float *w, float *sums, int16_t *values,
-                               float *unit) {
-    Lanes top[R];
-    for (Lanes &of_row : top) of_row = all(TINY * LARGEST_WORD);
-    for (int64_t at = 0; at < g.width; at += ACROSS * LANES) expand_tile<R>(g, a, w + at, sums + at, top);
-    float own[R], scale[R];
-    for (int r = 0; r < R; ++r) own[r] = largest(top[r]) / LARGEST_WORD, scale[r] = 1 / own[r];
-    const int64_t rows = g.channels * g.x;
-    for (int64_t at = 0; at < g.width; at += GROUP, unit += rows, values += rows * GROUP) {
-        std::copy(own, own + R, unit);
-        for (int r = 0; r < R; ++r) {
-            Lanes whole[GROUP / LANES];
-            for (int n = 0; n < GROUP / LANES; ++n) whole[n] = scale[r] * load(sums + r * g.width + at + n * LANES);
-            store_group(values + r * GROUP, whole);
-        }
+    Four own[(R * GROUPS + 3) / 4], scale[(R * GROUPS + 3) / 4];
+    for (int i = 0; i < R * GROUPS; i += 4) {
+        own[i / 4] = largest_of_four(top + i) * (1.0f / LARGEST_WORD) + TINY;
+        scale[i / 4] = 1.0f / own[i / 4];
     }
+    const int64_t rows = g.channels * g.x;
+    for (int n = 0; n < GROUPS; ++n, unit += rows, values += rows * GROUP)
+        for (int r = 0; r < R; ++r) {
+            const int i = r * GROUPS + n;
+            Lanes scaled[EACH];
+            for (int e = 0; e < EACH; ++e) scaled[e] = scale[i / 4][i % 4] * sum[r][n * EACH + e];
+            unit[r] = own[i / 4][i % 4];
+            store_group(values + r * GROUP, scaled);
+        }
 }
 
 // By the number of rows.
-constexpr decltype(&expand_rows<1>) EXPAND[ROWS] = {expand_rows<1>, expand_rows<2>, expand_rows<3>,
-                                                    expand_rows<4>, expand_rows<5>, expand_rows<6>};
+constexpr decltype(&expand_tile<1>) EXPAND[ROWS] = {expand_tile<1>, expand_tile<2>, expand_tile<3>,
+                                                    expand_tile<4>, expand_tile<5>, expand_tile<6>};
 
 extern "C" int32_t ptt_expand(const Expand *g) {
     static_assert(WIDTH % (ACROSS * LANES) == 0 && WIDTH % GROUP == 0, "blocks hold whole tiles, and whole groups");
@@ -98,13 +94,14 @@ extern "C" int32_t ptt_expand(const Expand *g) {
     in_parallel(g->blocks, g->threads, [=](int64_t b) {
         const float *own = g->eigen + g->cluster[b] * channels * g->factors * x;
         const float *w = g->weights + b * g->factors * g->width;
-        std::vector<float> sums(ROWS * g->width);
         for (int64_t c = 0; c < channels; ++c)
             for (int64_t t = 0; t < tiles; ++t) {
                 const int64_t first = x * t / tiles, end = x * (t + 1) / tiles;
-                const int64_t row = b * g->width / GROUP * channels * x + c * x + first;
                 const float *a = own + c * g->factors * x + first;
-                EXPAND[end - first - 1](*g, a, w, sums.data(), g->out + row * GROUP, g->unit + row);
+                for (int64_t at = 0; at < g->width; at += ACROSS * LANES) {
+                    const int64_t row = (b * g->width + at) / GROUP * channels * x + c * x + first;
+                    EXPAND[end - first - 1](*g, a, w + at, g->out + row * GROUP, g->unit + row);
+                }
             }
     });
     return DONE;

@@ -203,6 +203,24 @@ static inline float largest(Lanes x) {
     for (int half = LANES / 2; half; half /= 2) x = most(__builtin_shuffle(x, lane() ^ half), x);
     return x[0];
 }
+static inline Four largest_of_four(const Lanes *x) {
+#if defined(__AVX512F__)
+    const __m512 a = (__m512)x[0], b = (__m512)x[1], c = (__m512)x[2], d = (__m512)x[3];
+    const __m512d ab = (__m512d)_mm512_max_ps(_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b));
+    const __m512d cd = (__m512d)_mm512_max_ps(_mm512_unpacklo_ps(c, d), _mm512_unpackhi_ps(c, d));
+    const __m512 y = _mm512_max_ps((__m512)_mm512_unpacklo_pd(ab, cd), (__m512)_mm512_unpackhi_pd(ab, cd));
+    const __m256 z = _mm256_max_ps(_mm512_castps512_ps256(y), (__m256)_mm512_extractf64x4_pd((__m512d)y, 1));
+    return (Four)_mm_max_ps(_mm256_castps256_ps128(z), _mm256_extractf128_ps(z, 1));
+#elif defined(__AVX__)
+    const __m256 a = (__m256)x[0], b = (__m256)x[1], c = (__m256)x[2], d = (__m256)x[3];
+    const __m256d ab = (__m256d)_mm256_max_ps(_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b));
+    const __m256d cd = (__m256d)_mm256_max_ps(_mm256_unpacklo_ps(c, d), _mm256_unpackhi_ps(c, d));
+    const __m256 z = _mm256_max_ps((__m256)_mm256_unpacklo_pd(ab, cd), (__m256)_mm256_unpackhi_pd(ab, cd));
+    return (Four)_mm_max_ps(_mm256_castps256_ps128(z), _mm256_extractf128_ps(z, 1));
+#else
+    return Four{largest(x[0]), largest(x[1]), largest(x[2]), largest(x[3])};
+#endif
+}
 static inline Ints clamp(Ints i, int last) {
     i = i < 0 ? Ints{} : i;
     return i > last ? last - Ints{} : i;

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
 from ptt.ops import relight
 from ptt.ops.compiling import inlined
@@ -178,10 +177,12 @@ def _eigen_kernel(*arguments: Any) -> Tensor:
     k, _, e, i = g.direct.shape
     width = out.shape[3]
     padded = width + -width % GROUP
-    coupling = g.coupling.transpose(1, 2)  # shape: (3, 1 + i, 1 + o)
-    from_light = [g.to_factors @ coupling]  # shape: (3, s, 1 + o)
-    if width > coupling.shape[2]:
-        from_light.append(g.to_harmonics.expand(3, -1, -1))
+    factors = g.coupling.shape[1]
+    from_direct = g.coupling.new_zeros(3, i, padded)
+    from_direct[..., :factors] = g.coupling.transpose(1, 2)
+    from_light = g.to_factors @ from_direct  # shape: (3, s, padded)
+    if width > factors:
+        from_light[..., factors:width] = g.to_harmonics
     run(
         "eigen",
         direct=g.direct.contiguous(),
@@ -189,8 +190,8 @@ def _eigen_kernel(*arguments: Any) -> Tensor:
         two=g.two.contiguous(),
         h=g.h.contiguous(),
         pairs=g.pairs.contiguous(),
-        from_direct=pad(coupling, (0, padded - coupling.shape[2])).contiguous(),
-        from_light=pad(torch.cat(from_light, 2), (0, padded - width)),
+        from_direct=from_direct,
+        from_light=from_light,
         out=out,
         clusters=k,
         eigen=e,

@@ -58,7 +58,7 @@ def _kernel(*arguments: Sequence[Tensor | None]) -> Tensor:
     assert isinstance(outgoing, Tensor)
     regions = _regions(*arguments[:-1])
     outgoing = outgoing.contiguous()
-    sizes = [len(region.points.place) for region in regions]
+    sizes = [region.points.place.shape[0] for region in regions]
     line = outgoing.new_empty(max(region.points.position.shape[1] for region in regions), 3)
     out = outgoing.new_empty(sum(sizes), 3)
     for region, rows in zip(regions, out.split(sizes), strict=True):
@@ -91,13 +91,13 @@ def _write(region: ViewedRegion, outgoing: Tensor, line: Tensor, out: Tensor) ->
         blocks=b,
         width=width,
         rows=rows,
-        points=len(out),
+        points=out.shape[0],
         distant=eye.ndim == 2,
         factors=factors,
         harmonics=rows - factors,
-        lobes=0 if gloss is None else len(gloss.which),
-        tilts=0 if gloss is None else len(gloss.axes),
-        disk=side(len(outgoing)),
+        lobes=0 if gloss is None else gloss.which.shape[0],
+        tilts=0 if gloss is None else gloss.axes.shape[0],
+        disk=side(outgoing.shape[0]),
         cells=side(points.cuts.shape[1]),
         map=0 if gloss is None or gloss.maps is None else side(gloss.maps.shape[1]),
         **lobes,
@@ -108,7 +108,7 @@ def _conditions(*arguments: Sequence[Tensor | None]) -> Conditions:
     outgoing = arguments[-1]
     assert isinstance(outgoing, Tensor)
     yield of_type(torch.float32, outgoing), "outgoing must be float32"
-    yield square(len(outgoing)), "outgoing must be on a square grid"
+    yield square(outgoing.shape[0]), "outgoing must be on a square grid"
     for region in _regions(*arguments[:-1]):
         yield from _of_points(region, 1 + outgoing.shape[1])
         if region.lobes is not None:
@@ -137,8 +137,8 @@ def _of_points(region: ViewedRegion, factors: int) -> Conditions:
 
 def _of_lobes(gloss: LitLobes, cuts: Tensor, harmonics: int) -> Conditions:
     which, rho, axes, specular, maps, turn, blurs = gloss
-    k = len(which)
-    tilts = len(axes)
+    k = which.shape[0]
+    tilts = axes.shape[0]
     yield of_type(torch.float32, rho, axes, specular, maps, turn, blurs), "lobes must be float32"
     yield of_type(torch.int64, which), "which must be int64"
     yield 0 < k <= MOST_LOBES, f"there must be 1..{MOST_LOBES} lobes"
