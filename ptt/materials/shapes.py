@@ -243,18 +243,21 @@ def looks_isotropic(shape: Shape) -> bool:
 
 def check(name: str, value: Number | Sequence[float], low: float, high: float) -> None:
     """Raise ValueError unless every value is finite and within the bounds."""
-    v = beneath(torch.as_tensor(value, dtype=torch.float64)).detach()
-    least, most = (float(end) for end in v.aminmax())
+    if isinstance(value, float):
+        least, most, got = value, value, f"{value}"
+    else:
+        v = beneath(torch.as_tensor(value, dtype=torch.float64)).detach()
+        least, most = (float(end) for end in v.aminmax())
+        got = f"{v.tolist()}" if v.numel() <= 3 else f"values in {least:g}..{most:g}"
     rounded = 1e-6  # float32 may hold a bound a little beside itself
     if not (low * (1 - rounded) <= least and most <= high * (1 + rounded) and math.isfinite(most)):
         bounds = f"at least {low:g}" if high == math.inf else f"in [{low:g}, {high:g}]"
-        got = v.tolist() if v.numel() <= 3 else f"values in {least:g}..{most:g}"
         raise ValueError(f"{name} must be finite and {bounds}, got {got}")
 
 
 def check_number(name: str, value: Number, low: float, high: float) -> None:
     """Raise ValueError unless a value is one number, finite and within the bounds."""
-    if torch.as_tensor(value).numel() != 1:
+    if not isinstance(value, float) and torch.as_tensor(value).numel() != 1:
         raise ValueError(
             f"{name} must be one number, got {value}: a colour is for diffuse, specular and f0 of a material"
         )

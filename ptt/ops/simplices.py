@@ -43,7 +43,7 @@ class Simplices:
         triangles = Delaunay((self.points / self._scale).numpy())
         self._cells = torch.from_numpy(triangles.simplices).long()
         corners = nn.functional.pad(self.points[self._cells], (0, 1), value=1.0)  # shape: (t, 3, 3), a corner a row
-        self._barycentric = torch.linalg.inv(corners.mT)
+        self._slopes, self._offsets = torch.linalg.inv(corners.mT).split((2, 1), dim=2)
         self._hull = torch.from_numpy(triangles.convex_hull).long()
 
     def weights(self, point: Tensor) -> Tensor:
@@ -55,8 +55,8 @@ class Simplices:
         point = point.double()
         if self._axes:
             return self._on_grid(point)
-        weights = self._barycentric @ nn.functional.pad(point, (0, 1), value=1.0)  # shape: (t, 3)
-        least, cell = weights.detach().amin(1).max(0)
+        weights = self._slopes @ point + self._offsets[..., 0]  # shape: (t, 3)
+        least, cell = (extreme.item() for extreme in weights.detach().amin(1).max(0))
         if least < -INSIDE:
             return self._on_hull(point)
         weights = weights[cell].clamp(min=0)

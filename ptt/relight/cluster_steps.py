@@ -213,12 +213,15 @@ class ClusterSteps(nn.Module):
         """The lobes of a shape, by its coordinates in the space; None where all are dull."""
         brdf = self.model.brdf
         tables = brdf.lobe_tables(coordinates)
-        which = torch.nonzero(tables.detach().abs().amax((1, 2)) > DULL)[:, 0]
-        if not len(which):
+        reflected = tables.detach().abs().amax((1, 2)).tolist()
+        some = [lobe for lobe, share in enumerate(reflected) if share > DULL]
+        if not some:
             return None
-        rho = tables[which].flatten(1).T.contiguous()
-        axes = brdf.axes[:, which].flatten(0, 1).T.contiguous()
-        return MaterialLobes(which, rho, axes, colour.to(rho), self.blurs[which])
+        which = torch.tensor(some, device=tables.device)
+        every = len(some) == len(tables)
+        rho = (tables if every else tables[which]).flatten(1).T.contiguous()
+        axes = (brdf.axes if every else brdf.axes[:, which]).flatten(0, 1).T.contiguous()
+        return MaterialLobes(which, rho, axes, colour.to(rho), self.blurs if every else self.blurs[which])
 
     @uncompiled
     def exitant(self, light: ClusterLight, materials: Sequence[Material]) -> ClusterExitant:
