@@ -117,8 +117,9 @@ def _stamp(value: Any, leaves: list[Tensor], given: bool = False) -> Any:
         return [_stamp(item, leaves, given) for item in value]
     if isinstance(value, Mapping):
         return [(key, _stamp(item, leaves, given)) for key, item in value.items()]
-    names = _members(type(value))
-    return value if names is None else (type(value), [_stamp(getattr(value, name), leaves, True) for name in names])
+    kind: Any = type(value)
+    names = _members(kind)
+    return value if names is None else (kind, [_stamp(getattr(value, name), leaves, True) for name in names])
 
 
 @functools.cache

@@ -40,6 +40,7 @@ class SurfaceBlocks(NamedTuple):
     colour (3, n) of the surface, None for white
     cuts (n, cells) int32: cut_k, a byte each, cells in `tiles`
     place (v,) int64: where each point of the region lies among the n
+    point (n,) int32: which point lies there, -1 for none (`points_at`)
     """
 
     position: Tensor
@@ -48,6 +49,14 @@ class SurfaceBlocks(NamedTuple):
     colour: Tensor | None
     cuts: Tensor
     place: Tensor
+    point: Tensor
+
+
+def points_at(place: Tensor, n: int) -> Tensor:
+    """Which point (n,) int32 lies at each of n places, -1 for none, of the places (v,) of points."""
+    point = torch.full((n,), -1, dtype=torch.int32, device=place.device)
+    point[place] = torch.arange(len(place), dtype=torch.int32, device=place.device)
+    return point
 
 
 class LitLobes(NamedTuple):

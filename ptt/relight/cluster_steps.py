@@ -20,7 +20,7 @@ from ptt.models.transfer_model import TransferModel
 from ptt.ops import harmonics
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
-from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion
+from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion, points_at
 from ptt.relight.light_step import BlurredLight, LightStep
 from ptt.relight.operations import operations
 
@@ -86,7 +86,8 @@ class RegionPoints(nn.Module):
     """The points of one region in blocks, and which slots light them.
 
     slots (q,), pairs (pairs, 2) int64: positions in the model's list of slots
-    position (3, n), frame (3, 3, n), dip (n,), colour (3, n), None where it is white: of n = blocks * width points
+    position (3, n), frame (3, 3, n), dip (n,), colour (3, n), None where it is white, point (n,) int32, -1 for none:
+        of n = blocks * width points
     """
 
     slots: Tensor
@@ -95,6 +96,7 @@ class RegionPoints(nn.Module):
     frame: Tensor
     dip: Tensor
     colour: Tensor | None
+    point: Tensor
 
     def __init__(
         self, region: ClusteredTransfer, positions: Tensor, frames: Tensor, dips: Tensor, colours: Tensor
@@ -108,9 +110,14 @@ class RegionPoints(nn.Module):
             "frame": region.in_line(frames),
             "dip": region.in_line(dips),
             "colour": None if white else region.in_line(colours),
+            "point": points_at(region.place, region.weights.shape[2] * len(region.cluster)),
         }
         for name, tensor in tensors.items():
             self.register_buffer(name, tensor, persistent=False)
+
+    def blocks(self, region: ClusteredTransfer, colour: Tensor | None) -> SurfaceBlocks:
+        """The points with the base colour (3, n) of a material, None for white."""
+        return SurfaceBlocks(self.position, self.frame, self.dip, colour, region.cuts, region.place, self.point)
 
 
 @in_python
@@ -239,7 +246,7 @@ class ClusterSteps(nn.Module):
             sent = partial(self._sent, region, arriving, *weights)
             layers.append([layer for tables in material.layers for layer in self._layers(tables, light, sent)])
         surfaces = [
-            SurfaceBlocks(points.position, points.frame, points.dip, material.colour, region.cuts, region.place)
+            points.blocks(region, material.colour)
             for points, region, material in zip(self.points, self.model.clustered, materials, strict=True)
         ]
         return ClusterExitant(surfaces, layers, self.model.brdf.u_o.flatten(1).T.contiguous())

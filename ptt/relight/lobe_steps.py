@@ -293,8 +293,7 @@ class LobeSteps(nn.Module):
         return whole, torch.cat((less, mean_less, direct), 1), mean
 
     def _surface(self, region: int) -> SurfaceBlocks:
-        points, own = self.points[region], self.model.clustered[region]
-        return SurfaceBlocks(points.position, points.frame, points.dip, None, own.cuts, own.place)
+        return self.points[region].blocks(self.model.clustered[region], None)
 
     def radiance(self, exitant: Sequence[LobeRegion], eye: Tensor) -> Tensor:
         """The view step: B (v, c), for an eye (3,) or directions (v, 3) from the points to the viewer."""

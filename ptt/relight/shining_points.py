@@ -12,7 +12,7 @@ from ptt.ops.cells import Gloss
 from ptt.ops.constants import GROUP
 from ptt.ops.hemispheres import Between
 from ptt.ops.shade import ShadedPoints
-from ptt.ops.view import SurfaceBlocks
+from ptt.ops.view import SurfaceBlocks, points_at
 from ptt.relight.glosses import light_for
 from ptt.relight.light_step import SplitLight
 from ptt.relight.surface_points import SurfacePoints
@@ -49,10 +49,11 @@ def by_groups(at: ShadedPoints, surface: SurfacePoints, places: Tensor) -> list[
         rows = torch.cat((own, own[-1:].expand(-len(own) % GROUP)))
         none = positions.new_empty(0, dtype=torch.int32)
         place = torch.arange(len(own), device=rows.device)
+        point = points_at(place, len(rows))
         lines = positions[rows].T.contiguous(), frames[rows].movedim(0, 2).contiguous(), dips[rows]
         between = Between(at.seen.rows[rows], at.seen.weights[rows], places)
         shares = at.shares[:, rows].transpose(1, 2).contiguous()
-        found.append(ShiningPoints(group, rows, SurfaceBlocks(*lines, None, none, place), between, shares))
+        found.append(ShiningPoints(group, rows, SurfaceBlocks(*lines, None, none, place, point), between, shares))
     return found
 
 

@@ -60,6 +60,7 @@ def points(count: int, seen: Callable[[Tensor], Tensor] | None = None) -> tuple[
         None,
         torch.empty(0),
         torch.arange(count),
+        torch.arange(count, dtype=torch.int32),
     )
     return blocks, torch.cat((bits, torch.cat(shares).view(torch.int32))).repeat(count, 1)
 

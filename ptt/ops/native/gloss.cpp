@@ -659,28 +659,25 @@ extern "C" int32_t ptt_shine(const Shine *given) {
     const Shine g = *given;
     if (g.lobes > MOST_CELLS) return UNKNOWN;
 #pragma omp parallel num_threads(g.threads)
-    {
-        by_parts(g.n / LANES, [&](int64_t first, int64_t end) {
-            Look looks[2];
-            begin(g, first * LANES, std::min(first + AHEAD, end - 1) * LANES, looks[first & 1]);
-            for (int64_t i = first; i < end; ++i) {
-                const Look &at = looks[i & 1];
-                alignas(64) float sums[LANES][CHANNELS] = {};
-                const int64_t next = i + 1, later = std::min(next + AHEAD, end - 1);
-                if (next < end) begin(g, next * LANES, later * LANES, looks[next & 1]);
-                if (at.some) {
-                    reflect(g, i * LANES, at, sums);
-                    for (int64_t m = 0; m < g.sources; ++m) lamp(g, i * LANES, at, m, sums);
-                }
-                for (int l = 0; l < LANES; ++l)
-                    for (int c = 0; c < 3; ++c) g.line[3 * (i * LANES + l) + c] = at.material[c][l] * sums[l][c];
+    by_parts(g.n / LANES, [&](int64_t first, int64_t end) {
+        Look looks[2];
+        begin(g, first * LANES, std::min(first + AHEAD, end - 1) * LANES, looks[first & 1]);
+        for (int64_t i = first; i < end; ++i) {
+            const Look &at = looks[i & 1];
+            alignas(64) float sums[LANES][CHANNELS] = {};
+            const int64_t next = i + 1, later = std::min(next + AHEAD, end - 1);
+            if (next < end) begin(g, next * LANES, later * LANES, looks[next & 1]);
+            if (at.some) {
+                reflect(g, i * LANES, at, sums);
+                for (int64_t m = 0; m < g.sources; ++m) lamp(g, i * LANES, at, m, sums);
             }
-        });
-        by_parts(g.points, [&](int64_t first, int64_t end) {
-            for (int64_t p = first; p < end; ++p)
-                std::memcpy(g.out + 3 * p, g.line + 3 * g.place[p], 3 * sizeof(float));
-        });
-    }
+            for (int l = 0; l < LANES; ++l) {
+                Four sent = {};
+                for (int c = 0; c < 3; ++c) sent[c] = at.material[c][l] * sums[l][c];
+                put_at(g, i * LANES + l, sent);
+            }
+        }
+    });
     return DONE;
 }
 

@@ -51,7 +51,7 @@ def shine(
     where = (None, None, None) if between is None else tuple(between)
     other = (None,) * len(Around._fields) if around is None else tuple(around)
     lit = (gloss.values, *light, share)
-    own = (points.position, points.frame, points.dip, points.place)
+    own = (points.position, points.frame, points.dip, points.place, points.point)
     result: Tensor = _shine(*own, eye, seen, table, turns, *lit, *where, *other)
     return result
 
@@ -63,6 +63,7 @@ class _Shine(NamedTuple):
     frame: Tensor
     dip: Tensor
     place: Tensor
+    point: Tensor
     eye: Tensor
     seen: Tensor
     table: Tensor
@@ -97,7 +98,7 @@ WHERE = slice(_Shine._fields.index("rows"), _Shine._fields.index("places") + 1) 
 def _plain(*arguments: Any) -> Tensor:
     g = _Shine(*arguments)
     light = GlossLight(g.maps, g.turn, g.lamps, g.powers, g.through)
-    points = SurfaceBlocks(g.position, g.frame, g.dip, None, g.position.new_empty(0), g.place)
+    points = SurfaceBlocks(g.position, g.frame, g.dip, None, g.position.new_empty(0), g.place, g.point)
     gloss = Gloss(Lobes(g.table, g.turns), g.values, g.table[:0], g.table[:0], spread=90.0)
     around = None if g.meets is None else Around(*arguments[-len(Around._fields) :])
     between = Between(*arguments[WHERE]) if g.rows is not None else None
@@ -111,11 +112,11 @@ def _conditions(*arguments: Any) -> Conditions:
     reals = (g.position, g.eye, g.table, g.values, g.maps, g.turn)
     yield of_type(torch.float32, *reals), "points, tables and light must be float32"
     yield contiguous(g.position, g.table, g.values, g.maps), "points, tables and maps must be contiguous"
-    yield of_type(torch.int64, g.place) and contiguous(g.place), "place must be int64, contiguous"
+    yield of_type(torch.int32, g.point) and contiguous(g.point), "point must be int32, contiguous"
     yield of_type(torch.float32, g.frame, g.dip, g.lamps, g.powers, g.through), "frames and lamps must be float32"
     yield contiguous(g.frame, g.dip, g.through), "frames and what is seen of lamps must be contiguous"
     yield g.frame.shape == (3, 3, n) and n % GROUP == 0, f"frame must be (3, 3, n), n a multiple of {GROUP}"
-    yield g.dip.shape == (n,), "dip must be (n,)"
+    yield g.dip.shape == g.point.shape == (n,), "dip and point must be (n,)"
     yield from of_hemispheres(g.seen)
     yield g.lamps.shape == g.powers.shape == (len(g.lamps), 3), "lamps and powers must be (m, 3)"
     yield g.through.shape == (len(g.lamps), n), "what is seen of lamps must be (m, n)"
@@ -212,8 +213,7 @@ def _kernel(*arguments: Any) -> Tensor:
         near=g.near,
         near_powers=g.near_powers,
         near_through=g.near_through,
-        place=g.place,
-        line=g.position.new_empty(n, 3),
+        point=g.point,
         out=out,
         n=n,
         points=len(out),
@@ -235,9 +235,9 @@ def _kernel(*arguments: Any) -> Tensor:
 
 
 _shine = operator(
-    "shine(Tensor position, Tensor frame, Tensor dip, Tensor place, Tensor eye, Tensor seen, Tensor table, int turns, "
-    "Tensor values, Tensor maps, Tensor turn, Tensor lamps, Tensor powers, Tensor through, Tensor? share, "
-    "Tensor? rows, Tensor? weights, Tensor? places, "
+    "shine(Tensor position, Tensor frame, Tensor dip, Tensor place, Tensor point, Tensor eye, Tensor seen, "
+    "Tensor table, int turns, Tensor values, Tensor maps, Tensor turn, Tensor lamps, Tensor powers, Tensor through, "
+    "Tensor? share, Tensor? rows, Tensor? weights, Tensor? places, "
     "Tensor? mean, Tensor? meets, Tensor? records, Tensor? sent, Tensor? all_seen, Tensor? others, Tensor? tables, "
     "Tensor? parts, Tensor? rest, Tensor? near, Tensor? near_powers, Tensor? near_through) -> Tensor",
     plain=_plain,

@@ -109,6 +109,13 @@ static inline Ints faces_eye(const Points &g, int64_t v, Lanes height) {
     return g.distant ? ~Ints{} : (Ints)(height > -load(g.dip + v));
 }
 
+// Writes what is sent out at v to the row of the point that lies there, if one does.
+template <class Points>
+static inline void put_at(const Points &g, int64_t v, Four sent) {
+    const uint32_t p = g.point[v];
+    if (p < (uint64_t)g.points) std::memcpy(g.out + 3 * p, &sent, 3 * sizeof(float));
+}
+
 // The four bytes from each of p's on
 static inline Ints gather_bytes(const void *p, Ints index) {
 #if defined(__AVX512F__)

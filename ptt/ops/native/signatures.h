@@ -69,9 +69,9 @@ struct View {
     const float *position, *frame, *dip, *colour, *eye, *outgoing;
     const int16_t *values;
     const float *unit, *rho, *axes, *specular, *maps, *turn, *blurs;
-    const int32_t *cuts;
-    const int64_t *which, *place;
-    float *line, *out;                     // scratch (blocks * width, 3), and (points, 3)
+    const int32_t *cuts, *point;           // point (blocks * width): row of `out`, -1 for none
+    const int64_t *which;
+    float *out;                            // (points, 3)
     int64_t blocks, width, rows, points;   // rows: of values, 1 + o + s
     int32_t distant, factors, harmonics, lobes, tilts, disk, cells, map;  // disk, cells, map: sides of grids
     int32_t threads;
@@ -89,8 +89,8 @@ struct Shine {
     const int32_t *rows;                                  // (n, each): of the places between which points lie
     const int32_t *meets, *others;                 // null where nothing does, and where light bounces once
     const uint8_t *seen, *all_seen;                // of each point bits, then bytes
-    const int64_t *place;
-    float *line, *out;           // scratch (n, 3), and (points, 3)
+    const int32_t *point;                          // (n): row of `out`, -1 for none
+    float *out;                                    // (points, 3)
     int64_t n, points, sources, near_sources;  // sources: lamps
     float sharpness, blur;                     // of a lobe of level 1; of lobes in which others show lamps
     float alone, close;                        // of lobes that see one point alone; what these reflect of it as parts

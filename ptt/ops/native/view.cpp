@@ -200,28 +200,21 @@ static inline void shade(const View &g, int64_t v, const Look<K> &at, int64_t la
         for (int c = 0; c < 3; ++c) glossy[c] += lit[c] * g.specular[c];
     }
     for (int c = 0; c < 3; ++c) out[c] += at.seen ? glossy[c] : all(0);
-    for (int l = 0; l < LANES; ++l)
-        for (int c = 0; c < 3; ++c) g.line[3 * (v + l) + c] = out[c][l];
+    for (int l = 0; l < LANES; ++l) put_at(g, v + l, Four{out[0][l], out[1][l], out[2][l]});
 }
 
 template <int K>
 static void run(const View &g) {
 #pragma omp parallel num_threads(g.threads)
-    {
-        by_parts(g.blocks * g.width / LANES, [&](int64_t first, int64_t end) {
-            Look<K> at[1 + AHEAD];
-            for (int64_t i = first - AHEAD; i < end; ++i) {
-                const int64_t later = std::min(i + AHEAD, end - 1);
-                Look<K> &next = at[(i + AHEAD) % (1 + AHEAD)];
-                look(g, later * LANES, next);
-                if (i >= first) shade(g, i * LANES, at[i % (1 + AHEAD)], later * LANES, next);
-            }
-        });
-        by_parts(g.points, [&](int64_t first, int64_t end) {
-            for (int64_t p = first; p < end; ++p)
-                std::memcpy(g.out + 3 * p, g.line + 3 * g.place[p], 3 * sizeof(float));
-        });
-    }
+    by_parts(g.blocks * g.width / LANES, [&](int64_t first, int64_t end) {
+        Look<K> at[1 + AHEAD];
+        for (int64_t i = first - AHEAD; i < end; ++i) {
+            const int64_t later = std::min(i + AHEAD, end - 1);
+            Look<K> &next = at[(i + AHEAD) % (1 + AHEAD)];
+            look(g, later * LANES, next);
+            if (i >= first) shade(g, i * LANES, at[i % (1 + AHEAD)], later * LANES, next);
+        }
+    });
 }
 
 extern "C" int32_t ptt_view(const View *g) {

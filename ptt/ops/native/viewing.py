@@ -18,7 +18,7 @@ from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion
 
 SCHEMA = (
     "view(Tensor[] position, Tensor[] frame, Tensor[] dip, Tensor?[] colour, Tensor[] cuts, Tensor[] place, "
-    "Tensor[] eye, Tensor[] values, Tensor[] unit, Tensor?[] which, Tensor?[] rho, Tensor?[] axes, "
+    "Tensor[] point, Tensor[] eye, Tensor[] values, Tensor[] unit, Tensor?[] which, Tensor?[] rho, Tensor?[] axes, "
     "Tensor?[] specular, Tensor?[] maps, Tensor?[] turn, Tensor?[] blurs, Tensor outgoing) -> Tensor"
 )
 COLUMNS = (*SurfaceBlocks._fields, "eye", *OutgoingLight._fields, *LitLobes._fields)
@@ -40,8 +40,8 @@ def view(regions: Sequence[ViewedRegion], outgoing: Tensor) -> Tensor:
 def _regions(*columns: Sequence[Tensor | None]) -> list[ViewedRegion]:
     """The regions whose tensors are given column by column, in the order of the schema."""
     found = []
-    for position, frame, dip, colour, cuts, place, eye, values, unit, *lobes in zip(*columns, strict=True):
-        points = SurfaceBlocks(position, frame, dip, colour, cuts, place)
+    for position, frame, dip, colour, cuts, place, point, eye, values, unit, *lobes in zip(*columns, strict=True):
+        points = SurfaceBlocks(position, frame, dip, colour, cuts, place, point)
         gloss = None if lobes[0] is None else LitLobes(*lobes)
         found.append(ViewedRegion(points, eye, OutgoingLight(values, unit), gloss))
     return found
@@ -59,15 +59,14 @@ def _kernel(*arguments: Sequence[Tensor | None]) -> Tensor:
     regions = _regions(*arguments[:-1])
     outgoing = outgoing.contiguous()
     sizes = [region.points.place.shape[0] for region in regions]
-    line = outgoing.new_empty(max(region.points.position.shape[1] for region in regions), 3)
     out = outgoing.new_empty(sum(sizes), 3)
     for region, rows in zip(regions, out.split(sizes), strict=True):
-        _write(region, outgoing, line, rows)
+        _write(region, outgoing, rows)
     return out
 
 
-def _write(region: ViewedRegion, outgoing: Tensor, line: Tensor, out: Tensor) -> None:
-    """Write the radiance of one region to out (v, 3); line (n, 3) is overwritten."""
+def _write(region: ViewedRegion, outgoing: Tensor, out: Tensor) -> None:
+    """Write the radiance of one region to out (v, 3)."""
     points, eye, sent, gloss = region
     b, _, rows, width = sent.values.shape
     factors = 1 + outgoing.shape[1]
@@ -85,8 +84,7 @@ def _write(region: ViewedRegion, outgoing: Tensor, line: Tensor, out: Tensor) ->
         values=sent.values,
         unit=sent.unit,
         cuts=points.cuts,
-        place=points.place,
-        line=line,
+        point=points.point,
         out=out,
         blocks=b,
         width=width,
@@ -120,8 +118,8 @@ def _of_points(region: ViewedRegion, factors: int) -> Conditions:
     reals = (points.position, points.frame, points.dip, points.colour, eye, unit)
     yield of_type(torch.float32, *reals), "points must be float32"
     yield of_type(torch.int16, values), "values must be int16, as the kernel of expand writes them"
-    yield of_type(torch.int64, points.place), "place must be int64"
-    large = (points.position, points.frame, points.dip, points.colour, unit, values, points.place)
+    yield of_type(torch.int32, points.point), "point must be int32"
+    large = (points.position, points.frame, points.dip, points.colour, unit, values, points.point)
     yield contiguous(*large), "points and values must be contiguous"
     yield values.ndim == 4 and values.shape[1] == 3, "values must be (b, 3, x, w)"
     b, _, rows, width = values.shape
@@ -129,7 +127,8 @@ def _of_points(region: ViewedRegion, factors: int) -> Conditions:
     yield width % GROUP == 0, f"blocks must hold a multiple of {GROUP} points"
     yield rows >= factors, "values must have a row for each outgoing factor"
     yield points.position.shape == (3, n), "position must be (3, n)"
-    yield points.frame.shape == (3, 3, n) and points.dip.shape == (n,), "frame must be (3, 3, n), and dip (n,)"
+    yield points.frame.shape == (3, 3, n), "frame must be (3, 3, n)"
+    yield points.dip.shape == points.point.shape == (n,), "dip and point must be (n,)"
     yield points.colour is None or points.colour.shape == (3, n), "colour must be (3, n)"
     yield eye.shape in ((3,), (3, n)), "eye must be (3,) or (3, n)"
     yield unit.shape == values.shape[:3], "unit must be (b, 3, x)"

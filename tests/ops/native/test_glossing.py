@@ -18,7 +18,7 @@ from ptt.ops.constants import BITS, LEVELS, MEETS, PARTS, RECORD, RINGS, ROW, SE
 from ptt.ops.gloss import GlossLight
 from ptt.ops.hemispheres import SHARES, Between, words_of
 from ptt.ops.transfer import meets_packed
-from ptt.ops.view import SurfaceBlocks
+from ptt.ops.view import SurfaceBlocks, points_at
 
 
 class Inputs(NamedTuple):
@@ -46,7 +46,7 @@ def inputs(
     frame = rotations(n, g).permute(1, 2, 0).contiguous()
     place = torch.randperm(n, generator=g)[: n - 5]
     dip = torch.rand(n, generator=torch.Generator().manual_seed(lobes))
-    points = SurfaceBlocks(torch.randn(3, n, generator=g), frame, dip, None, torch.empty(0), place)
+    points = SurfaceBlocks(torch.randn(3, n, generator=g), frame, dip, None, torch.empty(0), place, points_at(place, n))
     axes = torch.randn(1, lobes, 3, generator=g) + 0.2 * torch.randn(turns * TILTS, lobes, 3, generator=g)
     level = torch.empty(turns * TILTS, lobes, 1).uniform_(*levels, generator=g).clamp(0, LEVELS - 1)
     table = torch.cat((axes, level, torch.rand(turns * TILTS, lobes, 3, generator=g)), 2)

@@ -30,7 +30,7 @@ from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
 from ptt.ops.shade import Functions, RegionCoats, ShadedPoints
 from ptt.ops.sphere import Cube
 from ptt.ops.table import stored
-from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion
+from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion, points_at
 
 pytestmark = pytest.mark.usefixtures("built")
 
@@ -80,13 +80,15 @@ def expand() -> None:
 def view() -> None:
     blocks, w = 2, 32
     n = blocks * w
+    place = torch.randperm(n, generator=generator())[: n - 3]
     surface = SurfaceBlocks(
         uniform(3, n),
         torch.eye(3)[:, :, None].repeat(1, 1, n),
         uniform(n),
         None,
         torch.randint(0, 2**31, (n, 64), generator=generator()).int(),
-        torch.randperm(n, generator=generator())[: n - 3],
+        place,
+        points_at(place, n),
     )
     sent = OutgoingLight(words(blocks, 3, 6 + 16, w), uniform(blocks, 3, 6 + 16))
     gloss = LitLobes(
@@ -108,7 +110,8 @@ def shine() -> None:
     n = 32
     seen = torch.randint(0, 2**31, (n, words_of(BITS)), generator=generator()).int()
     frame = torch.eye(3)[:, :, None].repeat(1, 1, n)
-    surface = SurfaceBlocks(uniform(3, n), frame, uniform(n), None, torch.empty(0), torch.arange(n - 3))
+    place = torch.arange(n - 3)
+    surface = SurfaceBlocks(uniform(3, n), frame, uniform(n), None, torch.empty(0), place, points_at(place, n))
     gloss = Gloss(
         Lobes(uniform(TILTS, 3, 7), 1),
         uniform(TILTS, RINGS, SECTORS, 3),

@@ -16,7 +16,7 @@ from ptt.ops.directions import turn
 from ptt.ops.native.relight import TRANSFER
 from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
 from ptt.ops.sphere import Cube
-from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion, light_about
+from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion, light_about, points_at
 
 W = 32
 TILTS = 20
@@ -32,7 +32,8 @@ def inputs(
     cuts = torch.randint(-(2**31), 2**31, (n, 64), generator=g).int()
     place = torch.randperm(n, generator=g)[: n - 5]
     colour = None if white else torch.rand(3, n, generator=g)
-    points = SurfaceBlocks(torch.randn(3, n, generator=g), frame, torch.rand(n, generator=g), colour, cuts, place)
+    lies = place, points_at(place, n)
+    points = SurfaceBlocks(torch.randn(3, n, generator=g), frame, torch.rand(n, generator=g), colour, cuts, *lies)
     eye = torch.nn.functional.normalize(torch.randn(3, n, generator=g), dim=0) if distant else torch.ones(3)
     rho = torch.rand(turns * TILTS, k, generator=g)
     axes = 0.1 + torch.rand(TILTS, 2 * k, generator=g)
