@@ -11,7 +11,7 @@ Narrow lobes follow Krivanek and Colbert, Real-time shading with filtered import
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache, reduce
 from typing import NamedTuple
 
@@ -40,7 +40,7 @@ Reflects = Callable[[Tensor, Tensor], Tensor]
 """f(wi, wo) (..., c) [1/sr] of local unit directions (..., 3)."""
 
 
-CellSums = Callable[[Tensor, Tensor, int], Tensor]
+CellSums = Callable[[Tensor, Tensor, Sequence[int]], Tensor]
 """`cell_sums`, or its kernel."""
 
 
@@ -203,19 +203,22 @@ def _degrees(length: Tensor, reflected: Tensor) -> Tensor:
     return torch.rad2deg(3 * WIDENED * (-torch.log1p(-spread)).sqrt())
 
 
-def cell_sums(mirrored: Tensor, reflected: Tensor, n: int) -> Tensor:
+def cell_sums(mirrored: Tensor, reflected: Tensor, counts: Sequence[int]) -> Tensor:
     """What each of n cells of a material reflects, by rows of its tables (turns * tilts, n, 3 + c): first moments of
     the directions mirrored (tilts, 3, m), and sums, of what is reflected from them (turns * tilts, m, c).
+
+    counts: so many cells that are all of the material, and so many again; n in all
 
     The cells are those of Lloyd's algorithm, from the steepest view to the flattest, each beginning with the centres of
     the one before, so that a cell stays the same cell.
     """
     whole, masses = whole_numbers(mirrored, reflected)
-    cells = torch.cat([_cells(whole, mass, first_centres(whole, mass, n)) for mass in masses.split(len(whole))])
+    each = [[_cells(whole, mass, c) for c in first_centres(whole, mass, counts)] for mass in masses.split(len(whole))]
     directions = mirrored.transpose(1, 2).repeat(len(reflected) // len(mirrored), 1, 1)
     values = torch.cat((directions * reflected.sum(2, keepdim=True), reflected), 2)
-    inside = torch.nn.functional.one_hot(cells, n).to(values)
-    return inside.transpose(1, 2) @ values
+    cells = [torch.cat(turns) for turns in zip(*each, strict=True)]
+    inside = [torch.nn.functional.one_hot(own, n).to(values) for own, n in zip(cells, counts, strict=True)]
+    return torch.cat(inside, 2).transpose(1, 2) @ values
 
 
 def whole_numbers(mirrored: Tensor, reflected: Tensor) -> tuple[Tensor, Tensor]:
@@ -242,16 +245,17 @@ def _cells(directions: Tensor, mass: Tensor, centres: Tensor) -> Tensor:
     return torch.stack(found).flip(0)
 
 
-def first_centres(directions: Tensor, mass: Tensor, n: int) -> Tensor:
-    """n nodes (n, 3) to begin with: each the one of the steepest view that the others leave the largest error at."""
+def first_centres(directions: Tensor, mass: Tensor, counts: Sequence[int]) -> list[Tensor]:
+    """Nodes (n, 3) to begin with, for so many cells and so many: each the one of the steepest view that those before it
+    leave the largest error at."""
     last = directions[-1].T
     units = last / STEPS
     near = 2 - 2 * units @ normalize(mass[-1] @ units, dim=0)
     chosen = []
-    for _ in range(n):
+    for _ in range(max(counts)):
         chosen.append(int((near * mass[-1]).argmax()))
         near = torch.minimum(near, 2 - 2 * units @ units[chosen[-1]])
-    return last[chosen]
+    return [last[chosen[:n]] for n in counts]
 
 
 class Gloss(NamedTuple):
@@ -274,10 +278,11 @@ def gloss_of(reflects: Reflects, isotropic: bool, n: int | None = None, sums: Ce
     """The tables of a material, with n lobes, None for `enough`; differentiable in f."""
     samples = sampled(reflects, isotropic)
     mirrored = outside(nodes, 1).mirrored
-    found = sums(mirrored, samples.reflected, n or enough(samples))
+    n = n or enough(samples)
+    found, few = sums(mirrored, samples.reflected, (n, PARTS) if isotropic else (n,)).tensor_split((n,), 1)
     lobes = Lobes(_table(found), samples.turns)
     whole = _as_one_lobe(found, samples.turns)
-    parts = pad(_table(sums(mirrored, samples.reflected, PARTS)), (0, 1)) if isotropic else in_parts(whole)
+    parts = pad(_table(few), (0, 1)) if isotropic else in_parts(whole)
     return Gloss(lobes, roots(samples), whole, parts, spread(samples))
 
 

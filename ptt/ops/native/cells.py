@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -13,36 +15,38 @@ from ptt.ops.native.operators import Conditions, operator
 
 
 @inlined
-def cell_sums(mirrored: Tensor, reflected: Tensor, n: int) -> Tensor:
+def cell_sums(mirrored: Tensor, reflected: Tensor, counts: Sequence[int]) -> Tensor:
     """Moments and sums (turns * tilts, n, 6), as `ptt.ops.cells.cell_sums`."""
-    result: Tensor = _cell_sums(mirrored, reflected, n)
+    result: Tensor = _cell_sums(mirrored, reflected, list(counts))
     return result
 
 
-def _cell_conditions(mirrored: Tensor, reflected: Tensor, n: int) -> Conditions:
+def _cell_conditions(mirrored: Tensor, reflected: Tensor, counts: list[int]) -> Conditions:
     yield of_type(torch.float32, mirrored, reflected), "directions and what is reflected must be float32"
     yield mirrored.ndim == 3 and mirrored.shape[1] == 3, "directions must be (tilts, 3, nodes)"
     yield reflected.shape[1:] == (mirrored.shape[2], 3), "what is reflected must be (turns * tilts, nodes, 3)"
     yield len(reflected) % len(mirrored) == 0, "there must be as many tilts of each turn"
 
 
-def _cell_kernel(mirrored: Tensor, reflected: Tensor, n: int) -> Tensor:
+def _cell_kernel(mirrored: Tensor, reflected: Tensor, counts: list[int]) -> Tensor:
     tilts, _, m = mirrored.shape
     whole, mass = cells.whole_numbers(mirrored, reflected)
-    centres = torch.stack([cells.first_centres(whole, some, n) for some in mass.split(tilts)])
-    out = _cell_fake(mirrored, reflected, n)
+    centres = [torch.cat(cells.first_centres(whole, some, counts)) for some in mass.split(tilts)]
+    out = _cell_fake(mirrored, reflected, counts)
     run(
         "cell_sums",
         mirrored=mirrored.contiguous(),
         whole=whole.contiguous(),
         mass=mass.contiguous(),
         reflected=reflected.contiguous(),
-        centres=centres.contiguous(),
+        centres=torch.stack(centres),
+        counts=torch.tensor(counts),
         out=out,
         turns=len(centres),
         tilts=tilts,
         nodes=m,
-        cells=n,
+        sets=len(counts),
+        cells=sum(counts),
         first=cells.FIRST,
         rounds=cells.ROUNDS,
         steps=cells.STEPS,
@@ -50,12 +54,12 @@ def _cell_kernel(mirrored: Tensor, reflected: Tensor, n: int) -> Tensor:
     return out
 
 
-def _cell_fake(mirrored: Tensor, reflected: Tensor, n: int) -> Tensor:
-    return reflected.new_empty(len(reflected), n, 3 + reflected.shape[2])
+def _cell_fake(mirrored: Tensor, reflected: Tensor, counts: list[int]) -> Tensor:
+    return reflected.new_empty(len(reflected), sum(counts), 3 + reflected.shape[2])
 
 
 _cell_sums = operator(
-    "cell_sums(Tensor mirrored, Tensor reflected, int n) -> Tensor",
+    "cell_sums(Tensor mirrored, Tensor reflected, int[] counts) -> Tensor",
     plain=lambda *arguments: cells.cell_sums(*arguments),
     kernel=_cell_kernel,
     conditions=_cell_conditions,

@@ -140,8 +140,9 @@ struct LampsBetween {
 struct CellSums {
     const float *mirrored, *whole;             // (tilts, 3, nodes); whole: whole numbers, steps to 1
     const float *mass, *reflected, *centres;   // (turns * tilts, nodes), (turns * tilts, nodes, 3), (turns, cells, 3)
+    const int64_t *counts;                     // (sets): of cells in each set, `cells` in all
     float *out;                                // (turns * tilts, cells, 6)
-    int64_t turns, tilts, nodes, cells;
+    int64_t turns, tilts, nodes, sets, cells;
     int32_t first, rounds, steps, threads;  // first, rounds: of Lloyd's algorithm, at the first tilt and at the others
 };
 

@@ -321,18 +321,20 @@ def test_lamp_visibility_agrees(built: None, lamps: int, each: int) -> None:
 
 
 @pytest.mark.parametrize("shape", [GGX(1.0, 0.03), GGX(1.0, 0.5), Ward(0.1, 0.3)], ids=str)
-@pytest.mark.parametrize("n", [1, 16, 40])
-def test_cells_agree(built: None, shape: Analytic, n: int) -> None:
+@pytest.mark.parametrize("counts", [(1,), (16, 4), (3, 40, 1)], ids=str)
+def test_cells_agree(built: None, shape: Analytic, counts: tuple[int, ...]) -> None:
     """To rounding: cells are of whole numbers, and so the same."""
     samples = cells.sampled(lambda wi, wo: shape.evaluate(wi, wo)[..., None].expand(*wi.shape[:-1], 3), shape.isotropic)
-    given = cells.nodes(1).mirrored, samples.reflected, n
+    given = cells.nodes(1).mirrored, samples.reflected, counts
     with native.refusals() as found:
         got = native.cell_sums(*given)
     assert not found
     expected = cells.cell_sums(*given)
     torch.testing.assert_close(got, expected, rtol=1e-4, atol=1e-6)
+    alone = [native.cell_sums(*given[:2], (n,)) for n in counts]
+    assert torch.equal(got, torch.cat(alone, 1))
 
 
 def test_a_material_that_reflects_nothing_has_cells_without_light(built: None) -> None:
     mirrored = cells.nodes(1).mirrored
-    assert native.cell_sums(mirrored, torch.zeros(TILTS, mirrored.shape[2], 3), 4).count_nonzero() == 0
+    assert native.cell_sums(mirrored, torch.zeros(TILTS, mirrored.shape[2], 3), (4,)).count_nonzero() == 0

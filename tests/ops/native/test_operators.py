@@ -148,7 +148,7 @@ def shine() -> None:
     native.reflected_lamps(surface.position, *lit)
     native.reflected_lamps(surface.position, *lit, uniform(2, n))
     native.lamp_visibility(seen, torch.arange(8).reshape(2, 4), uniform(2, 4))
-    native.cell_sums(uniform(3, 3, 40), uniform(6, 40, 3), 4)
+    native.cell_sums(uniform(3, 3, 40), uniform(6, 40, 3), (4, 2))
     rows = torch.arange(3 * n, dtype=torch.int32).reshape(n, 3) % 5
     between = Between(rows, uniform(n, 3), torch.eye(3).repeat(5, 1, 1))
     light = GlossLight(maps, torch.eye(3), uniform(2, 3), uniform(2, 3), uniform(2, n))
