@@ -7,7 +7,6 @@ Sun et al. 2007, section 4.1.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, MutableMapping, Sequence
 from functools import cache
 from math import radians, sin
@@ -23,7 +22,7 @@ from ptt.light.lamps import Lamps, apart
 from ptt.ops import latlong, lobes
 from ptt.ops.marks import mark
 from ptt.ops.octahedral import Octahedral, bordered
-from ptt.ops.sparse import product
+from ptt.ops.sparse import csr, product
 from ptt.ops.sphere import Grid
 from ptt.ops.transforms import outside, stands_in
 from ptt.ops.view import light_about
@@ -150,14 +149,11 @@ def _blur(angle: float, n: int) -> Tensor:
     cells = _axes(n)
     axes = _axes(BLURRED_SIDE)
     chord = 2 * sin(radians(angle) / 2)
-    near = cKDTree(axes.numpy()).sparse_distance_matrix(cKDTree(cells.numpy()), chord, output_type="coo_matrix")
-    row = torch.from_numpy(near.row).long()
-    column = torch.from_numpy(near.col).long()
+    near = cKDTree(axes.numpy()).sparse_distance_matrix(cKDTree(cells.numpy()), chord, output_type="coo_matrix").tocsr()
+    near.sort_indices()
+    starts, column = (torch.from_numpy(part).long() for part in (near.indptr, near.indices))
+    row = torch.arange(len(axes)).repeat_interleave(starts.diff())
     weight = lobes.gaussian(2 * torch.from_numpy(near.data).div(2).asin(), angle)
     solid_angles = _solid_angles(n)[:, 0]
     total = torch.zeros(len(axes)).double().index_add_(0, row, weight * solid_angles[column])
-    size = (len(axes), len(cells))
-    values = (weight / total[row]).float()
-    with torch.sparse.check_sparse_tensor_invariants(enable=False), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Sparse CSR tensor support is in beta")
-        return torch.sparse_coo_tensor(torch.stack((row, column)), values, size).to_sparse_csr()
+    return csr(starts, column, (weight / total[row]).float(), len(cells))
