@@ -114,9 +114,9 @@ def _seen(region: ViewedRegion, outgoing: Tensor) -> Tensor:
 def _glossy(region: ViewedRegion, towards: Tensor, some: Tensor, outgoing: Tensor) -> Tensor:
     """What some blocks (b,) of a region reflect glossily (b, c, w) to local directions (b, 3, w)."""
     points, _, sent, gloss = region
-    values = sent.values[some, :, 1:].to(outgoing.dtype) * sent.unit[some, :, 1:, None]
-    o = outgoing.shape[1]
-    glossy = _products(lookup(outgoing.T.unflatten(1, (_side(outgoing), -1)), towards), values[:, :, :o])
+    rows = sent.values.shape[2]
+    factors = lookup(outgoing.T.unflatten(1, (_side(outgoing), -1)), towards)
+    glossy = _products(factors, sent, some, 1)
     if gloss is None:
         return glossy
     rho, leant = _leant(gloss, towards)
@@ -126,16 +126,16 @@ def _glossy(region: ViewedRegion, towards: Tensor, some: Tensor, outgoing: Tenso
     if gloss.maps is not None:
         at = (some[:, None] * towards.shape[2] + torch.arange(towards.shape[2], device=some.device)).flatten()
         seen = rho * _through(points.cuts, at, axes, gloss.which)
-        frame = points.frame[:, :, at]
+        frame = _in_line(_blocks(points.frame.flatten(0, 1), sent.values)[some]).unflatten(0, (3, 3))
         plane = torch.stack((_sums(frame[:2], sideways[:, None]), frame[2]))  # of all axes
         about = _sums((gloss.turn.T @ plane)[:, :, None], leant[:, None])
         light = light_about(gloss.maps, about.permute(2, 1, 0))
-        lit = _blocks(_sums(seen[:, None], light.permute(1, 2, 0)), values)
-    if values.shape[2] > o:
+        lit = _blocks(_sums(seen[:, None], light.permute(1, 2, 0)), towards)
+    if rows > 1 + outgoing.shape[1]:
         mean = _sums(rho[:, None], axes.transpose(0, 1))
         axis = mean / mean.square().sum(0).clamp(min=TINY).sqrt()
         response = (gloss.blurs.T @ rho) * harmonics.evaluate(axis.T, round(gloss.blurs.shape[1] ** 0.5)).T
-        lit = lit + _products(_blocks(response, values), values[:, :, o:])
+        lit = lit + _products(_blocks(response, towards), sent, some, 1 + outgoing.shape[1])
     return glossy + lit * gloss.specular[:, None]
 
 
@@ -179,17 +179,20 @@ def blurred(maps: Tensor, axes: Tensor, level: Tensor) -> Tensor:
 def _through(cuts: Tensor, at: Tensor, axes: Tensor, which: Tensor) -> Tensor:
     """Fractional visibility (k, n) of some points (n,) about local axes (3, k, n)."""
     n = _side(cuts.T)
-    x, y = ((hemi_octahedral(axes.movedim(0, -1)) + 1) * (n / 2) - 0.5).unbind(-1)
-    column, row = x.floor(), y.floor()
+    x, y = ((hemi_octahedral(axes.movedim(0, -1)) + 1) * (n / 2) - 0.5).clamp(0, n - 1).unbind(-1)
+    column, row = (along.floor().clamp(max=n - 2) for along in (x, y))
+    cell = (row * n + column).long().flatten()
+    lines = torch.arange(n, device=cuts.device)
+    places = (tiled_rows(lines, n)[:, None] + tiled_columns(lines)).long().flatten()
     bytes_ = cuts.view(torch.uint8)
-    first = bytes_.shape[1] * at + which[:, None]
-    left, right = ((4 * tiled_columns((column + k).clamp(0, n - 1))).long() for k in (0, 1))
-    above, below = ((4 * tiled_rows((row + k).clamp(0, n - 1), n)).long() + first for k in (0, 1))
+    first = (bytes_.shape[1] * at + which[:, None]).flatten()
+    values = bytes_.flatten()
 
-    def seen(place: Tensor) -> Tensor:
-        return bytes_.flatten().index_select(0, place.flatten()).view_as(place).to(axes)
+    def seen(further: int) -> Tensor:
+        place = torch.add(first, places[further:].index_select(0, cell), alpha=4)
+        return values.index_select(0, place).to(axes).view_as(x)
 
-    over, under = (torch.lerp(seen(line + left), seen(line + right), x - column) for line in (above, below))
+    over, under = (torch.lerp(seen(line), seen(line + 1), x - column) for line in (0, n))
     return torch.lerp(over, under, y - row) / BYTE
 
 
@@ -202,11 +205,16 @@ def _sums(factors: Tensor, values: Tensor) -> Tensor:
     return total
 
 
-def _products(factors: Tensor, values: Tensor) -> Tensor:
-    """The sum over x (b, c, w) of factors (b, x, w) times values (b, c, x, w)."""
-    if not factors.shape[1]:
-        return values.sum(2)
-    return _sums(factors.transpose(0, 1)[:, :, None], values.movedim(2, 0))
+def _products(factors: Tensor, sent: OutgoingLight, some: Tensor, first: int) -> Tensor:
+    """The sum over x (b, c, w) of factors (b, x, w) times what some blocks (b,) send out in rows from the first on; one
+    row after the other, so that what it is made from stays in the cache."""
+    total = factors.new_zeros(len(some), sent.values.shape[1], factors.shape[2])
+    for x in range(factors.shape[1]):
+        row = sent.values[:, :, first + x].index_select(0, some).to(factors.dtype)
+        total = torch.addcmul(
+            total, factors[:, x, None], row * sent.unit[:, :, first + x].index_select(0, some)[..., None]
+        )
+    return total
 
 
 def _blocks(values: Tensor, like: Tensor) -> Tensor:
