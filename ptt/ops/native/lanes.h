@@ -210,6 +210,7 @@ static inline float largest(Lanes x) {
     for (int half = LANES / 2; half; half /= 2) x = most(__builtin_shuffle(x, lane() ^ half), x);
     return x[0];
 }
+// Of each of four vectors.
 static inline Four largest_of_four(const Lanes *x) {
 #if defined(__AVX512F__)
     const __m512 a = (__m512)x[0], b = (__m512)x[1], c = (__m512)x[2], d = (__m512)x[3];

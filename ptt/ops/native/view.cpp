@@ -3,9 +3,10 @@
 //     B[v, c] = sum over o of  V[o, wo] Q[c, o, v]
 //             + specular[c] sum over k of  rho_k(wo) (E_k[c, a_k] cut_k[v, a_k] + sum over s of  z_k[s] Y_s(a) I[c, s, v])
 //
-// Q and I are in 16 bits, by a unit for each row of a group. Points go LANES at a time, one in each lane of a vector; the light of lobes, which each point
-// reads in places of its own, is summed point by point. `look` finds where a group looks and fetches its words of the
-// cuts ahead of time; `shade` sums, AHEAD groups later. Indices are clamped, so that no input reads out of bounds.
+// Q and I are in 16 bits, by a unit for each row of a group. Points go LANES at a time, one in each lane of a vector;
+// the light of lobes, which each point reads in places of its own, is summed point by point. `look` finds where a group
+// looks and fetches its words of the cuts ahead of time; `shade` sums, AHEAD groups later. Indices are clamped, so that
+// no input reads, and no point writes, out of bounds.
 
 #include "lanes.h"
 
@@ -54,8 +55,8 @@ static inline void harmonics(Lanes x, Lanes y, Lanes z, Lanes *out) {
     out[15] = 0.5900435899266435f * x * (x * x - 3.0f * y * y);
 }
 
-// Of a group of points: which show highlights, and whether any does; the direction to the eye, local; the axes of lobes, local (-along x, -along y, up), and what they
-// are made of in the world: along times flat and up times normal.
+// Of a group of points: which show highlights, and whether any does; the direction to the eye, local; the axes of lobes,
+// local (-along x, -along y, up), and what they are made of in the world: along times flat and up times normal.
 template <int K>
 struct Look {
     Ints seen;
