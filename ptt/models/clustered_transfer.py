@@ -24,6 +24,7 @@ from ptt.ops.memory import in_large_pages
 from ptt.ops.octahedral import Octahedral, tiles
 from ptt.ops.transfer import vertices_met
 from ptt.ops.tucker import Tucker, multiply
+from ptt.ops.view import points_at
 
 WIDTH = 128  # points in a block
 FACING = 16  # cells along an edge of the map of normals by which points are ordered
@@ -187,8 +188,7 @@ class ClusteredTransfer(nn.Module):
 
     def in_line(self, values: Tensor) -> Tensor:
         """Values (v, ...) of the points as (..., b * WIDTH), block by block; padding repeats the first point."""
-        source = torch.zeros(len(self.cluster) * WIDTH, dtype=torch.int64, device=values.device)
-        source[self.place] = torch.arange(self.points, device=values.device)
+        source = points_at(self.place, len(self.cluster) * WIDTH).clamp(min=0).to(values.device)
         return values[source].movedim(0, -1).contiguous() if self.points else values.movedim(0, -1)
 
     def config(self) -> dict[str, Any]:
