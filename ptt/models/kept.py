@@ -8,6 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
+from ptt import threads
 from ptt.io import saved
 from ptt.materials.shapes import Analytic
 from ptt.materials.spaces import BRDFSpace
@@ -21,6 +22,7 @@ def fit(
 
     A space with functions of the user's own is fitted anew: nothing tells whether they changed.
     """
+    threads.share()
     if not all(isinstance(shape, Analytic) for shape in space.samples):
         return make()
     path = keeping.place(kind, {"space": space.to_config(), **settings})

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from ptt import threads
 from ptt.io import saved
 from ptt.models.cache import Cache, watched
 from ptt.ops import native, plain, rotation
@@ -212,6 +213,7 @@ def _matrices(s: Resampling, n: int, m: int, threshold: int, compiled: bool, pro
     parts = []
     with tqdm(total=frames, desc="matrices", unit=" frames", disable=not progress) as bar:
         for first in range(0, frames, FRAMES_AT_ONCE):
+            threads.share()
             end = min(frames, first + FRAMES_AT_ONCE)
             parts.append(form(s.part(first * rows, end * rows), n, m, unit, threshold))
             bar.update(end - first)

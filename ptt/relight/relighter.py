@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 from torch import Tensor, nn
 
+from ptt import threads
 from ptt.imaging.gbuffer import GBuffer
 from ptt.light.environment import Environment
 from ptt.materials.varying import SurfaceMaterial, materials_of_regions
@@ -71,6 +72,7 @@ class Relighter(nn.Module, ABC):
             ValueError: an unknown region, what is no material, or a view of another shape; what a relighter cannot
                 show is named in its own documentation.
         """
+        threads.share()
         relit = self._relit_by_kernels if self.compiled else self._relit
         return relit(environment, materials, view)
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from ptt import threads
 from ptt.imaging.atlas import Atlas
 from ptt.imaging.gbuffer import GBuffer
 from ptt.light.environment import Environment
@@ -259,6 +260,7 @@ class TripleProductRelighter(Relighter):
         frames = turned(self.frames.cpu().double(), self.twists)
         with tqdm(total=len(frames), desc="rotations", unit=" frames", disable=not progress) as bar:
             for some in frames.split(FRAMES):
+                threads.share()
                 s = rotation.resampling(Octahedral(side), self.grid, some, samples)
                 on_device = Resampling(s.starts.to(self.dull.device), s.reads.to(self.dull.device), samples)
                 parts.append(self._rotated(lighting, on_device))

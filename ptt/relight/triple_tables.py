@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from ptt import threads
 from ptt.imaging.atlas import Atlas
 from ptt.ops import local, transfer
 from ptt.ops.geodesic import Geodesic
@@ -65,6 +66,7 @@ def _traced(
     parts = []
     with tqdm(total=len(places[0]), desc=what, unit=" points", disable=not progress) as bar:
         for some in zip(*(x.split(BLOCK) for x in places), strict=True):
+            threads.share()
             parts.append(trace(*some))
             bar.update(len(some[0]))
     return torch.cat(parts)

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from ptt import threads
 from ptt.models.clustered_transfer import STORAGE, WIDTH, ClusteredTransfer, in_blocks
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import cpca, kinds
@@ -85,6 +86,7 @@ def cluster(transfer: Transfer, clusters: Clusters = Clusters(), *, progress: bo
     found = []
     with tqdm(total=len(own), desc="clusters", unit=" points", disable=not progress) as bar:
         for region in regions:
+            threads.share()
             found.append(region.compress(clusters))
             bar.update(region.points)
     raw = transfer.raw

@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from ptt import threads
+
 
 def of_all(
     points: int, at_once: int, values: Callable[[Tensor], Sequence[Tensor]], what: str = "", progress: bool = False
@@ -20,6 +22,7 @@ def of_all(
     whole: list[Tensor] = []
     with tqdm(total=points, desc=what, unit=" points", disable=not progress) as bar:
         for rows in torch.arange(points).split(at_once):
+            threads.share()
             found = values(rows)
             if not whole:
                 whole = [part.new_empty(points, *part.shape[1:]) for part in found]

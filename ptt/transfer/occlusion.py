@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from ptt import threads
 from ptt.ops import kinds
 from ptt.ops.transfer import gather_directions
 from ptt.scene.scene import Scene
@@ -30,6 +31,7 @@ def ambient_occlusion(scene: Scene, rays: int = 256, progress: bool = False) -> 
     parts = []
     with tqdm(total=len(origins), desc="occlusion", unit=" vertices", disable=not progress) as bar:
         for start, frames in zip(origins.split(step), scene.frames.split(step), strict=True):
+            threads.share()
             directions = (local @ frames).flatten(0, 1)
             hidden = scene.surface.occluded(start.repeat_interleave(rays, 0), directions)
             parts.append(1 - hidden.reshape(-1, rays).float().mean(1))
