@@ -8,6 +8,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from bench.frames import balls, bytes_read, dressed, steps
 from bench.table import ROOT, median_seconds, read_bandwidth, setting
 from ptt.cli import kept_model
 from ptt.ops import native
+from ptt.ops.relight import Responses
 
 NUMBERS = count(1)
 SHARES = {"view": (350, 0.4), "view and BRDF": (150, 0.25), "view, BRDF and light": (80, 0.4)}
@@ -132,13 +134,19 @@ def bounds(
     square = torch.rand(2048, 2048)
     peak = 2 * 2048**3 / median_seconds(lambda: square @ square)
     seconds = products = 0.0
-    for region, layers in zip(model.clustered, sent.layers, strict=True):
-        rows = layers[0].sent.values.shape[2]
-        eigen = torch.rand(len(region.columns), 3, region.eigenvectors, rows)
-        seconds += median_seconds(lambda: native.expand(eigen, region.weights, region.cluster), 40)  # noqa: B023
-        products += 2 * region.weights.numel() * 3 * rows
-    how = f"{products / 1e6:.0f} million products and sums a frame; torch's 2048 x 2048 ones: {peak / 1e9:.0f} GFLOP/s"
-    row(f"{what}, expand over torch's product of matrices, rate of arithmetic", products / seconds / peak, "", how)
+    for region, arriving, layers in zip(model.clustered, lit.arriving, sent.layers, strict=True):
+        layer = layers[0]
+        coupling = torch.rand(3, 1 + len(model.brdf.u_o), arriving.direct.shape[3])
+        h = torch.rand(len(region.slots), 3), torch.rand(len(region.pairs), 3)
+        of_harmonics = Responses(steps.to_factors, steps.to_harmonics)
+        blocks = region.weights, region.cluster
+        glossy = layer.lobes is not None
+        call = partial(native.exitant, arriving, *h, coupling, of_harmonics, *blocks, glossy)
+        seconds += median_seconds(call, 40)
+        products += 2 * region.weights.numel() * 3 * layer.sent.values.shape[-2]
+    how = f"{products / 1e6:.0f} million products and sums a frame from eigen-points to points, those of eigen-points"
+    how = f"{how} aside; torch's 2048 x 2048 ones: {peak / 1e9:.0f} GFLOP/s"
+    row(f"{what}, exitant over torch's product of matrices, rate of arithmetic", products / seconds / peak, "", how)
     eye = torch.tensor(scene.camera.eye)
     spent = []
     for threads in (1, torch.get_num_threads()):

@@ -14,11 +14,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from ptt.materials.material import Material
 from ptt.models.brdf_basis import BRDFBasis
 from ptt.models.receivers import Receivers
+from ptt.ops.compiling import in_python
 
 OWN = -1  # the function of a fixed region's own highlight, or of a channel of all that its own material reflects
 
@@ -92,6 +93,38 @@ def mean_of(basis: BRDFBasis, layers: Sequence[Material], shares: Tensor, tint: 
     parts = [functions_of(basis, layer, basis.space.coloured(layer), whole) for layer in layers]
     functions = (torch.stack(parts) * mean[:, None].to(parts[0])).sum(0)
     return torch.cat((functions[:1] * tint, functions[1:]))
+
+
+@in_python
+class SlotWeights(nn.Module):
+    """H (q, c) of the slots that light each region, and its products (pairs, c) of each two by which light comes twice.
+
+    slots: of the model; functions: of the basis, so many
+    regions: which of the slots (q,), and of the pairs of them (pairs, 2), light each
+    """
+
+    rows: Tensor
+    keep: Tensor
+
+    def __init__(
+        self, slots: Sequence[Slot], functions: int, regions: Sequence[tuple[Sequence[int], Sequence[Sequence[int]]]]
+    ) -> None:
+        super().__init__()
+        once = [slot for own, _ in regions for slot in own]
+        twice = [pair for _, pairs in regions for pair in pairs]
+        rows, keep = chosen(slots, functions)
+        all_of_them = torch.tensor(once + [a for a, _ in twice] + [b for _, b in twice], dtype=torch.int64)
+        self.register_buffer("rows", rows[all_of_them], persistent=False)
+        self.register_buffer("keep", keep[all_of_them], persistent=False)
+        self._together = len(once), len(twice), len(twice)
+        self._once = [len(own) for own, _ in regions]
+        self._twice = [len(pairs) for _, pairs in regions]
+
+    def forward(self, functions: Sequence[Tensor]) -> list[tuple[Tensor, Tensor]]:
+        """Of each region; functions (1 + p + 1, c): of the material of each (`functions_of`)."""
+        h = torch.cat(list(functions))[self.rows] * self.keep.to(functions[0])
+        once, first, second = h.split(self._together)
+        return list(zip(once.split(self._once), (first * second).split(self._twice), strict=True))
 
 
 def coefficients(slots: Sequence[Slot], basis: BRDFBasis, materials: Sequence[Material]) -> Tensor:

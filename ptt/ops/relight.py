@@ -2,7 +2,7 @@
 
     light   U0[c, e, i]    = sum over l of  L[c, l] T0[l, e, i]
             U1[c, q, e, s] = sum over l of  L[c, l] T1[l, q, e, s]           U2[c, qq', e] alike
-    BRDF    A[c, e, s]     = sum over q of  H[c, q] U1[c, q, e, s]  +  [s = 0] sum of  H[c, q] H[c, q'] U2[c, qq', e]
+    BRDF    A[c, e, s]     = sum over q of  H[q, c] U1[c, q, e, s]  +  [s = 0] sum of  H[q, c] H[q', c] U2[c, qq', e]
             Q[c, e, o]     = sum over i of  M[c, o, i] (U0[c, e, i] + sum over s of  C[s, i] A[c, e, s])
             I[c, e, s]     = A in orthonormal harmonics, which lobes reflect
     view    B[v, c]        = sum over o of  V[o, v] Q[c, o, v]               and the lobes (`ops.view`)
@@ -92,14 +92,14 @@ def eigen(
 ) -> Tensor:
     """Q, and then I if glossy, (k, c, e, 1 + o + s), of eigen-points; s = 0 where no light is reflected to them.
 
-    h (c, q): H of the slots that U1 is for; pairs (c, pairs): their products for U2; coupling (c, 1 + o, 1 + i): M
+    h (q, c): H of the slots that U1 is for; pairs (pairs, c): their products for U2; coupling (c, 1 + o, 1 + i): M
     """
     direct, one, two = arriving
     if not one.shape[2] and not two.shape[2]:
         return direct @ coupling.transpose(1, 2)
-    light = (h[:, None] @ one.flatten(3)).unflatten(3, one.shape[3:])[:, :, 0]
+    light = (h.T[:, None] @ one.flatten(3)).unflatten(3, one.shape[3:])[:, :, 0]
     if two.shape[2]:
-        again = (pairs[:, None] @ two)[:, :, 0]
+        again = (pairs.T[:, None] @ two)[:, :, 0]
         light = torch.cat((light[..., :1] + again[..., None], light[..., 1:]), -1)
     sent = (direct + light @ responses.to_factors) @ coupling.transpose(1, 2)
     return torch.cat((sent, light @ responses.to_harmonics), 3) if glossy else sent
@@ -110,6 +110,20 @@ def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> OutgoingLight:
     rows = eigen.transpose(2, 3).flatten(1, 2).index_select(0, cluster)  # shape: (b, c * x, e)
     values = (rows @ weights).unflatten(1, (eigen.shape[1], eigen.shape[3]))
     return OutgoingLight(values, values.new_ones(values.shape[:3]))
+
+
+def exitant(
+    arriving: ArrivingLight,
+    h: Tensor,
+    pairs: Tensor,
+    coupling: Tensor,
+    responses: Responses,
+    weights: Tensor,
+    cluster: Tensor,
+    glossy: bool,
+) -> OutgoingLight:
+    """Q, and then I if glossy, of points in blocks: `eigen` of the eigen-points, and `expand` of it."""
+    return expand(eigen(arriving, h, pairs, coupling, responses, glossy), weights, cluster)
 
 
 def view_step(outgoing: Tensor, sent: Tensor) -> Tensor:

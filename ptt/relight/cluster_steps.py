@@ -83,15 +83,12 @@ class ClusterExitant(NamedTuple):
 
 @in_python
 class RegionPoints(nn.Module):
-    """The points of one region in blocks, and which slots light them.
+    """The points of one region in blocks.
 
-    slots (q,), pairs (pairs, 2) int64: positions in the model's list of slots
     position (3, n), frame (3, 3, n), dip (n,), colour (3, n), None where it is white, point (n,) int32, -1 for none:
         of n = blocks * width points
     """
 
-    slots: Tensor
-    pairs: Tensor
     position: Tensor
     frame: Tensor
     dip: Tensor
@@ -104,8 +101,6 @@ class RegionPoints(nn.Module):
         super().__init__()
         white = not bool((colours != 1).any())
         tensors = {
-            "slots": torch.tensor(region.slots, dtype=torch.int64),
-            "pairs": torch.tensor(region.pairs, dtype=torch.int64).reshape(-1, 2),
             "position": region.in_line(positions),
             "frame": region.in_line(frames),
             "dip": region.in_line(dips),
@@ -127,8 +122,6 @@ class ClusterSteps(nn.Module):
     to_factors: Tensor
     to_harmonics: Tensor
     blurs: Tensor
-    rows: Tensor
-    keep: Tensor
 
     def __init__(self, model: TransferModel, compiled: bool) -> None:
         super().__init__()
@@ -136,13 +129,10 @@ class ClusterSteps(nn.Module):
         self.model = model
         self.basis = model.basis
         self.light = LightStep(model.grid, model.brdf.angles, compiled)
-        rows, keep = slots.chosen(model.slots, model.basis.table.shape[1])
         tensors = {
             "to_factors": responses(model.brdf),
             "to_harmonics": harmonics.hemispherical(ORDER).float(),
             "blurs": blurs(model.brdf.angles).float(),
-            "rows": rows,
-            "keep": keep,
         }
         for name, tensor in tensors.items():
             self.register_buffer(name, tensor, persistent=False)
@@ -151,6 +141,7 @@ class ClusterSteps(nn.Module):
             for region, own in zip(model.clustered, self._rows(), strict=True)
         ]
         self.regions = nn.ModuleList(self.points)
+        self.slots = slot_weights(model)
         self._materials = [Cache() for _ in model.clustered]
         self._operations = operations(compiled)
 
@@ -237,10 +228,7 @@ class ClusterSteps(nn.Module):
 
     def contracted(self, light: ClusterLight, materials: Sequence[RegionMaterial]) -> ClusterExitant:
         """The BRDF step, of what `materials` gives."""
-        functions = [material.functions for material in materials]
-        slots = [points.slots for points in self.points]
-        pairs = [points.pairs for points in self.points]
-        h = slot_weights(functions, self.rows, self.keep, slots, pairs)
+        h = self.slots([material.functions for material in materials])
         layers = []
         for region, arriving, material, weights in zip(self.model.clustered, light.arriving, materials, h, strict=True):
             sent = partial(self._sent, region, arriving, *weights)
@@ -269,10 +257,10 @@ class ClusterSteps(nn.Module):
         coupling: Tensor,
         glossy: bool,
     ) -> OutgoingLight:
-        """What the points of a region send out, of H (c, q) and its products (c, pairs)."""
+        """What the points of a region send out, of H (q, c) and its products (pairs, c)."""
         responses = Responses(self.to_factors, self.to_harmonics)
-        eigen = self._operations.eigen(arriving, h, pairs, coupling, responses, glossy)
-        sent: OutgoingLight = self._operations.expand(eigen, region.weights, region.cluster)
+        blocks = region.weights, region.cluster
+        sent: OutgoingLight = self._operations.exitant(arriving, h, pairs, coupling, responses, *blocks, glossy)
         return sent
 
     @staticmethod
@@ -325,9 +313,8 @@ def varying_functions(
     return slots.mean_of(model.basis, material.layers, shares, tint, not isinstance(own, Material))
 
 
-def slot_weights(
-    functions: Sequence[Tensor], rows: Tensor, keep: Tensor, slots: Sequence[Tensor], pairs: Sequence[Tensor]
-) -> list[tuple[Tensor, Tensor]]:
-    """H (c, q) of the slots that light each region, and its products (c, pairs), of functions (1 + p + 1, c) of all."""
-    h = (torch.cat(list(functions))[rows] * keep.to(functions[0])).T  # shape: (c, q)
-    return [(h[:, own], h[:, both[:, 0]] * h[:, both[:, 1]]) for own, both in zip(slots, pairs, strict=True)]
+def slot_weights(model: TransferModel) -> slots.SlotWeights:
+    """H of the slots that light each of a model's regions."""
+    assert model.basis is not None
+    lit = [(region.slots, region.pairs) for region in model.clustered]
+    return slots.SlotWeights(model.slots, model.basis.table.shape[1], lit)

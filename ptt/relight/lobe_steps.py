@@ -1,7 +1,7 @@
 """The steps of relighting where narrow lobes reflect: light and BRDF for eigen-points, the view for points in blocks.
 
 light   U0[c, e]    = sum over l of  L[c, l] T0[l, e]           U1, U2 alike, and what arrives of lamps
-BRDF    E[v, c]     = U0 + sum over q of  H[c, q] U1[c, q, e]  +  sum of  H[c, q] H[c, q'] U2[c, qq', e], at points
+BRDF    E[v, c]     = U0 + sum over q of  H[q, c] U1[c, q, e]  +  sum of  H[q, c] H[q', c] U2[c, qq', e], at points
         D[v, c]     = albedo / pi E[v, c]
 view    B[v, c]     = D[v, c]  and what narrow lobes reflect (`ops.gloss`)
 """
@@ -100,8 +100,6 @@ class LobeRegion(NamedTuple):
 class LobeSteps(nn.Module):
     """Light, BRDF and view step of a model whose highlights are narrow lobes, so many of each material."""
 
-    rows: Tensor
-    keep: Tensor
     records: Tensor
     seen: Tensor
     others: Tensor | None
@@ -119,11 +117,9 @@ class LobeSteps(nn.Module):
             for region, rows in zip(model.clustered, self.own, strict=True)
         ]
         self.regions = nn.ModuleList(self.points)
-        rows, keep = slots.chosen(model.slots, model.basis.table.shape[1])
+        self.slots = slot_weights(model)
         seen = [region.seen for region in model.clustered]
         tensors = {
-            "rows": rows,
-            "keep": keep,
             "records": self._records(),
             "seen": seen[0] if len(seen) == 1 else torch.cat(seen),
             "others": self._others(model),
@@ -236,9 +232,7 @@ class LobeSteps(nn.Module):
     def exitant(self, light: LobeLight, materials: Sequence[Material]) -> list[LobeRegion]:
         """The BRDF step."""
         tables = self.materials(materials)
-        functions = [material.functions for material in tables]
-        pairs = [points.pairs for points in self.points]
-        h = slot_weights(functions, self.rows, self.keep, [points.slots for points in self.points], pairs)
+        h = self.slots([material.functions for material in tables])
         dull = []
         sent = []
         means = []
@@ -277,11 +271,11 @@ class LobeSteps(nn.Module):
         that bounced once less, and of it where no light bounces (n, 3 c), and the mean of the surfaces that they see
         (n, c) (`ops.around.Around`).
 
-        h (c, q), pairs (c, pairs): H of the slots that light them, and its products
+        h (q, c), pairs (pairs, c): H of the slots that light them, and its products
         """
         direct, one, two = light.arriving[region]
-        once = math.sqrt(math.pi) * (h[:, None] @ one)[:, :, 0]
-        both = once + math.sqrt(math.pi) * (pairs[:, None] @ two)[:, :, 0]
+        once = math.sqrt(math.pi) * (h.T[:, None] @ one)[:, :, 0]
+        both = once + math.sqrt(math.pi) * (pairs.T[:, None] @ two)[:, :, 0]
         before = once if self.model.bounces == 2 else torch.zeros_like(once)
         eigen = torch.stack((direct + both, direct + before, direct, both, before), 3)
         *arriving, both, before = self._at_points(self.model.clustered[region], eigen).unbind(2)

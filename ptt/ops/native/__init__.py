@@ -13,7 +13,7 @@ from ptt.ops.native.kernels import available, prepare
 from ptt.ops.native.maps import octahedral_means
 from ptt.ops.native.near import of_frames, of_texels, of_views
 from ptt.ops.native.operators import refusals
-from ptt.ops.native.relight import eigen, expand, light_eigen, lighting
+from ptt.ops.native.relight import exitant, light_eigen, lighting
 from ptt.ops.native.rotation import (
     local_light,
     resampled_light,
@@ -29,8 +29,7 @@ __all__ = [
     "adaptive",
     "available",
     "cell_sums",
-    "eigen",
-    "expand",
+    "exitant",
     "lamp_visibility",
     "lamps_between",
     "lamps_seen",

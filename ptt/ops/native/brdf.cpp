@@ -4,59 +4,85 @@
 
 #include <vector>
 
-// R eigen-points from v on, of cluster and channel kc.
+// What a row (x), padded to whole vectors, of an eigen-point is made of.
+struct Rows {
+    int64_t padded;
+    std::vector<float> from_direct;  // (3, factors, padded): what incident factors add
+    std::vector<float> from_light;   // (3, HARMONICS, padded): what arriving harmonics add
+};
+
+static Rows rows_of(const Exitant &g) {
+    const int64_t f = g.factors, o = g.outgoing, padded = (g.x + LANES - 1) / LANES * LANES;
+    Rows rows{padded, std::vector<float>(3 * f * padded), std::vector<float>(3 * HARMONICS * padded)};
+    for (int64_t c = 0; c < 3; ++c)
+        for (int64_t i = 0; i < f; ++i)
+            for (int64_t n = 0; n < o; ++n)
+                rows.from_direct[(c * f + i) * padded + n] = g.coupling[(c * o + n) * f + i];
+    for (int64_t c = 0; c < 3; ++c)
+        for (int64_t s = 0; s < HARMONICS; ++s) {
+            float *row = rows.from_light.data() + (c * HARMONICS + s) * padded;
+            for (int64_t i = 0; i < f; ++i)
+                for (int64_t n = 0; n < o; ++n)
+                    row[n] += g.to_factors[s * f + i] * rows.from_direct[(c * f + i) * padded + n];
+            for (int64_t n = o; n < g.x; ++n) row[n] = g.to_harmonics[s * HARMONICS + n - o];
+        }
+    return rows;
+}
+
+// R eigen-points from v on, of cluster and channel kc, to out (e, x).
 template <int R>
-static inline void eigen_rows(const Eigen &g, int64_t kc, int64_t v, const float *second) {
+static inline void eigen_rows(const Exitant &g, const Rows &rows, int64_t kc, int64_t v, const float *second,
+                              float *out) {
     const int64_t c = kc % 3, i = g.factors, first = kc * g.eigen + v, terms = g.slots || g.again ? HARMONICS : 0;
     float light[R][HARMONICS];
     for (int r = 0; r < R; ++r)
         for (int s = 0; s < HARMONICS; s += LANES) {
             Lanes sum = {};
             for (int64_t q = 0; q < g.slots; ++q)
-                sum += g.h[c * g.slots + q] * load(g.one + ((kc * g.slots + q) * g.eigen + v + r) * HARMONICS + s);
+                sum += g.h[3 * q + c] * load(g.one + ((kc * g.slots + q) * g.eigen + v + r) * HARMONICS + s);
             store(light[r] + s, sum);
         }
     for (int r = 0; r < R; ++r) light[r][0] += second[v + r];
-    for (int64_t n = 0; n < g.width; n += LANES) {
+    for (int64_t n = 0; n < g.x; n += LANES) {
         Lanes sum[R] = {};
         for (int64_t f = 0; f < i; ++f) {
-            const Lanes table = load(g.from_direct + (c * i + f) * g.padded + n);
+            const Lanes table = load(rows.from_direct.data() + (c * i + f) * rows.padded + n);
             for (int r = 0; r < R; ++r) sum[r] += g.direct[(first + r) * i + f] * table;
         }
         for (int64_t s = 0; s < terms; ++s) {
-            const Lanes table = load(g.from_light + (c * HARMONICS + s) * g.padded + n);
+            const Lanes table = load(rows.from_light.data() + (c * HARMONICS + s) * rows.padded + n);
             for (int r = 0; r < R; ++r) sum[r] += light[r][s] * table;
         }
-        const int64_t size = std::min<int64_t>(LANES, g.width - n) * sizeof(float);
-        for (int r = 0; r < R; ++r) std::memcpy(g.out + (first + r) * g.width + n, &sum[r], size);
+        const int64_t size = std::min<int64_t>(LANES, g.x - n) * sizeof(float);
+        for (int r = 0; r < R; ++r) std::memcpy(out + (v + r) * g.x + n, &sum[r], size);
     }
 }
 
-extern "C" int32_t ptt_eigen(const Eigen *g) {
-    in_parallel(3 * g->clusters, g->threads, [&](int64_t kc) {
-        std::vector<float> second(g->eigen);
-        for (int64_t p = 0; p < g->again; ++p)
-            for (int64_t v = 0; v < g->eigen; ++v)
-                second[v] += g->pairs[kc % 3 * g->again + p] * g->two[(kc * g->again + p) * g->eigen + v];
+// The eigen-points of a cluster, A (3, e, x); second: (e), to work with.
+static void eigen_points(const Exitant &g, const Rows &rows, int64_t k, float *second, float *out) {
+    for (int64_t kc = 3 * k; kc < 3 * k + 3; ++kc, out += g.eigen * g.x) {
+        std::fill(second, second + g.eigen, 0.0f);
+        for (int64_t p = 0; p < g.again; ++p)
+            for (int64_t v = 0; v < g.eigen; ++v)
+                second[v] += g.pairs[3 * p + kc % 3] * g.two[(kc * g.again + p) * g.eigen + v];
         int64_t v = 0;
-        for (; v + 4 <= g->eigen; v += 4) eigen_rows<4>(*g, kc, v, second.data());
-        for (; v < g->eigen; ++v) eigen_rows<1>(*g, kc, v, second.data());
-    });
-    return DONE;
+        for (; v + 4 <= g.eigen; v += 4) eigen_rows<4>(g, rows, kc, v, second, out);
+        for (; v < g.eigen; ++v) eigen_rows<1>(g, rows, kc, v, second, out);
+    }
 }
 
-// expand: S[b, c, x, w] unit[b, c, x] = sum over e of  A[cluster[b], c, e, x] W[b, e, w], rounded to 16 bits, and laid
-// out in blocks of GROUP points, so that the view step reads it in one line.
+// S[b, c, x, w] unit[b, c, x] = sum over e of  A[cluster[b], c, e, x] W[b, e, w], rounded to 16 bits, and laid out in
+// blocks of GROUP points, so that the view step reads it in one line.
 // Of a tile, in rows x and in vectors of w: 24 sums fill 32 registers, 12 fill 16.
 constexpr int ROWS = 6, ACROSS = LANES == 8 ? 2 : 4;
 
 // R rows of a tile. Each row of a group has the unit of its largest sum: with that of a bound, the sum of |A| times the
 // largest |W|, rounding was five times as large on the engine, and with that of four groups it was a third larger.
 template <int R>
-static inline void expand_tile(const Expand &g, const float *a, const float *w, int16_t *values, float *unit) {
+static inline void expand_tile(const Exitant &g, const float *a, const float *w, int16_t *values, float *unit) {
     constexpr int EACH = GROUP / LANES, GROUPS = ACROSS / EACH;
     Lanes sum[R][ACROSS] = {};
-    for (int64_t i = 0; i < g.factors; ++i, a += g.x, w += g.width) {
+    for (int64_t e = 0; e < g.eigen; ++e, a += g.x, w += g.width) {
         Lanes weight[ACROSS];
         for (int n = 0; n < ACROSS; ++n) weight[n] = load(w + n * LANES);
         for (int r = 0; r < R; ++r)
@@ -73,7 +99,7 @@ static inline void expand_tile(const Expand &g, const float *a, const float *w, 
         own[i / 4] = largest_of_four(top + i) * (1.0f / LARGEST_WORD) + TINY;
         scale[i / 4] = 1.0f / own[i / 4];
     }
-    const int64_t rows = g.channels * g.x;
+    const int64_t rows = 3 * g.x;
     for (int n = 0; n < GROUPS; ++n, unit += rows, values += rows * GROUP)
         for (int r = 0; r < R; ++r) {
             const int i = r * GROUPS + n;
@@ -88,21 +114,33 @@ static inline void expand_tile(const Expand &g, const float *a, const float *w, 
 constexpr decltype(&expand_tile<1>) EXPAND[ROWS] = {expand_tile<1>, expand_tile<2>, expand_tile<3>,
                                                     expand_tile<4>, expand_tile<5>, expand_tile<6>};
 
-extern "C" int32_t ptt_expand(const Expand *g) {
-    static_assert(WIDTH % (ACROSS * LANES) == 0 && WIDTH % GROUP == 0, "blocks hold whole tiles, and whole groups");
-    const int64_t x = g->x, channels = g->channels, tiles = (x + ROWS - 1) / ROWS;
-    in_parallel(g->blocks, g->threads, [=](int64_t b) {
-        const float *own = g->eigen + g->cluster[b] * channels * g->factors * x;
-        const float *w = g->weights + b * g->factors * g->width;
-        for (int64_t c = 0; c < channels; ++c)
-            for (int64_t t = 0; t < tiles; ++t) {
-                const int64_t first = x * t / tiles, end = x * (t + 1) / tiles;
-                const float *a = own + c * g->factors * x + first;
-                for (int64_t at = 0; at < g->width; at += ACROSS * LANES) {
-                    const int64_t row = (b * g->width + at) / GROUP * channels * x + c * x + first;
-                    EXPAND[end - first - 1](*g, a, w + at, g->out + row * GROUP, g->unit + row);
-                }
+// The points of block b, of the eigen-points A (3, e, x) of its cluster.
+static inline void expand_block(const Exitant &g, int64_t b, const float *eigen) {
+    const int64_t x = g.x, tiles = (x + ROWS - 1) / ROWS;
+    const float *w = g.weights + b * g.eigen * g.width;
+    for (int64_t c = 0; c < 3; ++c)
+        for (int64_t t = 0; t < tiles; ++t) {
+            const int64_t first = x * t / tiles, end = x * (t + 1) / tiles;
+            const float *a = eigen + c * g.eigen * x + first;
+            for (int64_t at = 0; at < g.width; at += ACROSS * LANES) {
+                const int64_t row = (b * g.width + at) / GROUP * 3 * x + c * x + first;
+                EXPAND[end - first - 1](g, a, w + at, g.out + row * GROUP, g.unit + row);
             }
+        }
+}
+
+// Blocks of a cluster follow each other: its eigen-points are made where its points are, and stay in the cache.
+extern "C" int32_t ptt_exitant(const Exitant *g) {
+    static_assert(WIDTH % (ACROSS * LANES) == 0 && WIDTH % GROUP == 0, "blocks hold whole tiles, and whole groups");
+    const Rows rows = rows_of(*g);
+#pragma omp parallel num_threads(g->threads)
+    by_parts(g->blocks, [&](int64_t first, int64_t end) {
+        std::vector<float> eigen(3 * g->eigen * g->x), second(g->eigen);
+        for (int64_t b = first; b < end; ++b) {
+            if (b == first || g->cluster[b] != g->cluster[b - 1])
+                eigen_points(*g, rows, g->cluster[b], second.data(), eigen.data());
+            expand_block(*g, b, eigen.data());
+        }
     });
     return DONE;
 }

@@ -122,19 +122,28 @@ _light_eigen = operator(
     fake=_light_eigen_fake,
 )
 
-# What eigen-points send out
+# What points send out
 
 
 @inlined
-def eigen(
-    arriving: ArrivingLight, h: Tensor, pairs: Tensor, coupling: Tensor, responses: Responses, glossy: bool
-) -> Tensor:
-    """Q and I (k, c, e, 1 + o + s), as `ptt.ops.relight.eigen`."""
-    result: Tensor = _eigen(*arriving, h, pairs, coupling, *responses, glossy)
-    return result
+def exitant(
+    arriving: ArrivingLight,
+    h: Tensor,
+    pairs: Tensor,
+    coupling: Tensor,
+    responses: Responses,
+    weights: Tensor,
+    cluster: Tensor,
+    glossy: bool,
+) -> OutgoingLight:
+    """Values as `ptt.ops.relight.exitant`; those of the kernel are int16, in smaller blocks.
+
+    It is fastest where blocks of a cluster follow each other.
+    """
+    return OutgoingLight(*_exitant(*arriving, h, pairs, coupling, *responses, weights, cluster, glossy))
 
 
-class _Eigen(NamedTuple):
+class _Exitant(NamedTuple):
     """What the schema says."""
 
     direct: Tensor
@@ -145,134 +154,94 @@ class _Eigen(NamedTuple):
     coupling: Tensor
     to_factors: Tensor
     to_harmonics: Tensor
+    weights: Tensor
+    cluster: Tensor
     glossy: bool
 
+    @property
+    def row(self) -> int:
+        """The length of what a point sends out: 1 + o, and the harmonics where they are asked for and there are any."""
+        lit = self.glossy and (self.one.shape[2] > 0 or self.two.shape[2] > 0)
+        return self.coupling.shape[1] + self.to_harmonics.shape[0] * lit
 
-def _eigen_plain(*arguments: Any) -> Tensor:
-    direct, one, two, h, pairs, coupling, to_factors, to_harmonics, glossy = arguments
-    arriving = ArrivingLight(direct, one, two)
-    responses = Responses(to_factors, to_harmonics)
-    return relight.eigen(arriving, h, pairs, coupling, responses, glossy)
+
+def _exitant_plain(*arguments: Any) -> OutgoingLight:
+    g = _Exitant(*arguments)
+    responses = Responses(g.to_factors, g.to_harmonics)
+    arriving = ArrivingLight(g.direct, g.one, g.two)
+    return relight.exitant(arriving, g.h, g.pairs, g.coupling, responses, g.weights, g.cluster, g.glossy)
 
 
-def _eigen_conditions(*arguments: Any) -> Conditions:
-    g = _Eigen(*arguments)
+def _exitant_conditions(*arguments: Any) -> Conditions:
+    g = _Exitant(*arguments)
     k, c, e, i = g.direct.shape
     q = g.one.shape[2]
     p = g.two.shape[2]
-    yield of_type(torch.float32, *g[:-1]), "everything must be float32"
+    yield of_type(torch.float32, *g[:9]), "everything must be float32"
+    yield contiguous(g.weights), "weights must be contiguous"
     yield c == 3, "there must be three channels"
-    yield g.h.shape == (3, q), "h must be (3, q)"
-    yield g.pairs.shape == (3, p), "pairs must be (3, p)"
+    yield g.h.shape == (q, 3), "h must be (q, 3)"
+    yield g.pairs.shape == (p, 3), "pairs must be (pairs, 3)"
     yield g.one.shape == (k, 3, q, e, HARMONICS), f"U1 must be (k, 3, q, e, {HARMONICS})"
     yield g.two.shape == (k, 3, p, e), "U2 must be (k, 3, p, e)"
     yield g.coupling.ndim == 3 and g.coupling.shape[::2] == (3, i), "coupling must be (3, 1 + o, 1 + i)"
     yield g.to_factors.shape == (HARMONICS, i), f"to_factors must be ({HARMONICS}, 1 + i)"
     yield g.to_harmonics.shape == (HARMONICS, HARMONICS), f"to_harmonics must be ({HARMONICS}, {HARMONICS})"
+    yield g.weights.ndim == 3 and g.weights.shape[1] == e, "weights must be (b, e, w)"
+    yield g.weights.shape[2] % WIDTH == 0, f"blocks must hold a multiple of {WIDTH} points"
+    yield of_type(torch.int64, g.cluster) and g.cluster.shape == g.weights.shape[:1], "cluster must be (b,), int64"
 
 
-def _eigen_kernel(*arguments: Any) -> Tensor:
-    g = _Eigen(*arguments)
-    out = _eigen_fake(*arguments)
-    k, _, e, i = g.direct.shape
-    width = out.shape[3]
-    padded = width + -width % GROUP
-    factors = g.coupling.shape[1]
-    from_direct = g.coupling.new_zeros(3, i, padded)
-    from_direct[..., :factors] = g.coupling.transpose(1, 2)
-    from_light = g.to_factors @ from_direct  # shape: (3, s, padded)
-    if width > factors:
-        from_light[..., factors:width] = g.to_harmonics
+def _exitant_kernel(*arguments: Any) -> tuple[Tensor, Tensor]:
+    g = _Exitant(*arguments)
+    values, unit = _in_groups(g)
+    _, _, e, i = g.direct.shape
+    b, _, width = g.weights.shape
     run(
-        "eigen",
+        "exitant",
         direct=g.direct.contiguous(),
         one=g.one.contiguous(),
         two=g.two.contiguous(),
         h=g.h.contiguous(),
         pairs=g.pairs.contiguous(),
-        from_direct=from_direct,
-        from_light=from_light,
-        out=out,
-        clusters=k,
+        coupling=g.coupling.contiguous(),
+        to_factors=g.to_factors.contiguous(),
+        to_harmonics=g.to_harmonics.contiguous(),
+        weights=g.weights,
+        cluster=g.cluster.contiguous(),
+        out=values,
+        unit=unit,
+        blocks=b,
         eigen=e,
         factors=i,
         slots=g.one.shape[2],
         again=g.two.shape[2],
+        outgoing=g.coupling.shape[1],
+        x=values.shape[2],
         width=width,
-        padded=padded,
-    )
-    return out
-
-
-def _eigen_fake(*arguments: Any) -> Tensor:
-    g = _Eigen(*arguments)
-    k, c, e, _ = g.direct.shape
-    lit = g.glossy and (g.one.shape[2] > 0 or g.two.shape[2] > 0)
-    return g.direct.new_empty(k, c, e, g.coupling.shape[1] + len(g.to_harmonics) * lit)
-
-
-_eigen = operator(
-    "eigen(Tensor direct, Tensor one, Tensor two, Tensor h, Tensor pairs, Tensor coupling, Tensor to_factors, "
-    "Tensor to_harmonics, bool glossy) -> Tensor",
-    plain=_eigen_plain,
-    kernel=_eigen_kernel,
-    conditions=_eigen_conditions,
-    fake=_eigen_fake,
-)
-
-# From eigen-points to points
-
-
-@inlined
-def expand(eigen: Tensor, weights: Tensor, cluster: Tensor) -> OutgoingLight:
-    """Values as `ptt.ops.relight.expand`; those of the kernel are int16, in smaller blocks."""
-    return OutgoingLight(*_expand(eigen, weights, cluster))
-
-
-def _expand_conditions(eigen: Tensor, weights: Tensor, cluster: Tensor) -> Conditions:
-    yield of_type(torch.float32, eigen, weights), "eigen and weights must be float32"
-    yield contiguous(weights), "weights must be contiguous"
-    yield weights.shape[1] == eigen.shape[2], "weights must be (b, e, w)"
-    yield weights.shape[2] % WIDTH == 0, f"blocks must hold a multiple of {WIDTH} points"
-    yield of_type(torch.int64, cluster) and cluster.shape == weights.shape[:1], "cluster must be (b,), int64"
-
-
-def _expand_kernel(eigen: Tensor, weights: Tensor, cluster: Tensor) -> tuple[Tensor, Tensor]:
-    values, unit = _in_groups(eigen, weights)
-    b, e, w = weights.shape
-    run(
-        "expand",
-        eigen=eigen.contiguous(),
-        weights=weights,
-        cluster=cluster.contiguous(),
-        out=values,
-        unit=unit,
-        blocks=b,
-        channels=eigen.shape[1],
-        factors=e,
-        x=eigen.shape[3],
-        width=w,
     )
     return values, unit
 
 
-def _in_groups(eigen: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
-    groups = len(weights) * weights.shape[2] // GROUP
-    values = eigen.new_empty(groups, eigen.shape[1], eigen.shape[3], GROUP, dtype=torch.int16)
-    return values, eigen.new_empty(values.shape[:3])
+def _in_groups(g: _Exitant) -> tuple[Tensor, Tensor]:
+    groups = g.weights.shape[0] * g.weights.shape[2] // GROUP
+    values = g.direct.new_empty(groups, 3, g.row, GROUP, dtype=torch.int16)
+    return values, g.direct.new_empty(values.shape[:3])
 
 
-def _expand_fake(eigen: Tensor, weights: Tensor, cluster: Tensor) -> tuple[Tensor, Tensor]:
-    if eigen.device.type == "cpu" and refusal(_expand_conditions(eigen, weights, cluster), "expand") is None:
-        return _in_groups(eigen, weights)
-    rows = len(weights), eigen.shape[1], eigen.shape[3]
-    return eigen.new_empty(*rows, weights.shape[2]), eigen.new_empty(rows)
+def _exitant_fake(*arguments: Any) -> tuple[Tensor, Tensor]:
+    g = _Exitant(*arguments)
+    if g.direct.device.type == "cpu" and refusal(_exitant_conditions(*arguments), "exitant") is None:
+        return _in_groups(g)
+    rows = g.weights.shape[0], g.direct.shape[1], g.row
+    return g.direct.new_empty(*rows, g.weights.shape[2]), g.direct.new_empty(rows)
 
 
-_expand = operator(
-    "expand(Tensor eigen, Tensor weights, Tensor cluster) -> (Tensor, Tensor)",
-    plain=lambda *arguments: relight.expand(*arguments),
-    kernel=_expand_kernel,
-    conditions=_expand_conditions,
-    fake=_expand_fake,
+_exitant = operator(
+    "exitant(Tensor direct, Tensor one, Tensor two, Tensor h, Tensor pairs, Tensor coupling, Tensor to_factors, "
+    "Tensor to_harmonics, Tensor weights, Tensor cluster, bool glossy) -> (Tensor, Tensor)",
+    plain=_exitant_plain,
+    kernel=_exitant_kernel,
+    conditions=_exitant_conditions,
+    fake=_exitant_fake,
 )

@@ -45,21 +45,15 @@ struct LightEigen {
     int32_t type, threads;
 };
 
-struct Eigen {
-    const float *direct, *one, *two;        // U0 (k, 3, e, i), U1 (k, 3, q, e, HARMONICS), U2 (k, 3, p, e)
-    const float *h, *pairs;                 // H (3, q), and its products (3, p)
-    const float *from_direct, *from_light;  // what each of i, and of HARMONICS, adds to a row: (3, .., padded)
-    float *out;                             // (k, 3, e, width)
-    int64_t clusters, eigen, factors, slots, again, width, padded;
-    int32_t threads;
-};
-
-struct Expand {
-    const float *eigen, *weights;  // (k, channels, factors, x), (blocks, factors, width)
-    const int64_t *cluster;        // (blocks)
-    int16_t *out;                  // (blocks * width / GROUP, channels, x, GROUP)
-    float *unit;                   // of each row of a group: (blocks * width / GROUP, channels, x)
-    int64_t blocks, channels, factors, x, width;
+struct Exitant {
+    const float *direct, *one, *two;                     // U0 (k, 3, e, i), U1 (k, 3, q, e, HARMONICS), U2 (k, 3, p, e)
+    const float *h, *pairs;                              // H (q, 3), and its products (p, 3)
+    const float *coupling, *to_factors, *to_harmonics;   // M (3, o, i), C (HARMONICS, i), (HARMONICS, HARMONICS)
+    const float *weights;                                // (blocks, e, width)
+    const int64_t *cluster;                              // (blocks)
+    int16_t *out;                                        // (blocks * width / GROUP, 3, x, GROUP)
+    float *unit;                                         // of each row of a group: (blocks * width / GROUP, 3, x)
+    int64_t blocks, eigen, factors, slots, again, outgoing, x, width;  // again: pairs; x: o, or o + HARMONICS
     int32_t threads;
 };
 

@@ -60,21 +60,11 @@ def light_eigen() -> None:
     native.light_eigen(uniform(2, 5, 20), uniform(3, 9), torch.randint(0, 9, (2, 5)))
 
 
-def eigen() -> None:
+def exitant() -> None:
     arriving = ArrivingLight(uniform(2, 3, 4, 5), uniform(2, 3, 2, 4, 16), uniform(2, 3, 1, 4))
+    materials = uniform(2, 3), uniform(1, 3), uniform(3, 6, 5), Responses(uniform(16, 5), uniform(16, 16))
     for glossy in (False, True):
-        native.eigen(
-            arriving,
-            uniform(3, 2),
-            uniform(3, 1),
-            uniform(3, 6, 5),
-            Responses(uniform(16, 5), uniform(16, 16)),
-            glossy,
-        )
-
-
-def expand() -> None:
-    native.expand(uniform(2, 3, 4, 7), uniform(3, 4, 64), torch.tensor([0, 1, 1]))
+        native.exitant(arriving, *materials, uniform(3, 4, 64), torch.tensor([0, 1, 1]), glossy)
 
 
 def view() -> None:
@@ -227,8 +217,7 @@ USES = (
     octahedral_means,
     lighting,
     light_eigen,
-    eigen,
-    expand,
+    exitant,
     view,
     shine,
     rotate,
