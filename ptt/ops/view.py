@@ -99,6 +99,7 @@ def view(regions: Sequence[ViewedRegion], outgoing: Tensor) -> Tensor:
 
 def _seen(region: ViewedRegion, outgoing: Tensor) -> Tensor:
     """B (v, c) of the points of a region: what is diffuse of all, and the rest of blocks in which some face the eye."""
+    region = region._replace(sent=region.sent.whole())
     points, eye, sent, _ = region
     wo = local_directions(points.position, points.frame, eye)
     diffuse = sent.values[:, :, 0].to(outgoing.dtype) * sent.unit[:, :, 0, None]

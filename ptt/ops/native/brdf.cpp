@@ -72,14 +72,18 @@ static void eigen_points(const Exitant &g, const Rows &rows, int64_t k, float *s
 }
 
 // S[b, c, x, w] unit[b, c, x] = sum over e of  A[cluster[b], c, e, x] W[b, e, w], rounded to 16 bits, and laid out in
-// blocks of GROUP points, so that the view step reads it in one line.
+// blocks of GROUP points, so that the view step reads it in one line. The row after the last is what rounding took from
+// the first.
 // Of a tile, in rows x and in vectors of w: 24 sums fill 32 registers, 12 fill 16.
+constexpr float FINER = 2 * LARGEST_WORD;  // what rounding takes is half a unit at most
 constexpr int ROWS = 6, ACROSS = LANES == 8 ? 2 : 4;
 
-// R rows of a tile. Each row of a group has the unit of its largest sum: with that of a bound, the sum of |A| times the
-// largest |W|, rounding was five times as large on the engine, and with that of four groups it was a third larger.
+// R rows of a tile; first: the first of all rows is among them. Each row of a group has the unit of its largest sum:
+// with that of a bound, the sum of |A| times the largest |W|, rounding was five times as large on the engine, and with
+// that of four groups it was a third larger.
 template <int R>
-static inline void expand_tile(const Exitant &g, const float *a, const float *w, int16_t *values, float *unit) {
+static inline void expand_tile(const Exitant &g, const float *a, const float *w, bool first, int16_t *values,
+                               float *unit) {
     constexpr int EACH = GROUP / LANES, GROUPS = ACROSS / EACH;
     Lanes sum[R][ACROSS] = {};
     for (int64_t e = 0; e < g.eigen; ++e, a += g.x, w += g.width) {
@@ -99,7 +103,7 @@ static inline void expand_tile(const Exitant &g, const float *a, const float *w,
         own[i / 4] = largest_of_four(top + i) * (1.0f / LARGEST_WORD) + TINY;
         scale[i / 4] = 1.0f / own[i / 4];
     }
-    const int64_t rows = 3 * g.x;
+    const int64_t rows = 3 * (g.x + 1);
     for (int n = 0; n < GROUPS; ++n, unit += rows, values += rows * GROUP)
         for (int r = 0; r < R; ++r) {
             const int i = r * GROUPS + n;
@@ -107,6 +111,10 @@ static inline void expand_tile(const Exitant &g, const float *a, const float *w,
             for (int e = 0; e < EACH; ++e) scaled[e] = scale[i / 4][i % 4] * sum[r][n * EACH + e];
             unit[r] = own[i / 4][i % 4];
             store_group(values + r * GROUP, scaled);
+            if (r || !first) continue;
+            for (int e = 0; e < EACH; ++e) scaled[e] = FINER * (scaled[e] - load(values + e * LANES));
+            store_group(values + g.x * GROUP, scaled);
+            unit[g.x] = unit[0] / FINER;
         }
 }
 
@@ -123,8 +131,8 @@ static inline void expand_block(const Exitant &g, int64_t b, const float *eigen)
             const int64_t first = x * t / tiles, end = x * (t + 1) / tiles;
             const float *a = eigen + c * g.eigen * x + first;
             for (int64_t at = 0; at < g.width; at += ACROSS * LANES) {
-                const int64_t row = (b * g.width + at) / GROUP * 3 * x + c * x + first;
-                EXPAND[end - first - 1](g, a, w + at, g.out + row * GROUP, g.unit + row);
+                const int64_t row = ((b * g.width + at) / GROUP * 3 + c) * (x + 1) + first;
+                EXPAND[end - first - 1](g, a, w + at, t == 0, g.out + row * GROUP, g.unit + row);
             }
         }
 }

@@ -136,7 +136,7 @@ def exitant(
     cluster: Tensor,
     glossy: bool,
 ) -> OutgoingLight:
-    """Values as `ptt.ops.relight.exitant`; those of the kernel are int16, in smaller blocks.
+    """Values as `ptt.ops.relight.exitant`; those of the kernel are int16, in smaller blocks, with a row more.
 
     It is fastest where blocks of a cluster follow each other.
     """
@@ -217,7 +217,7 @@ def _exitant_kernel(*arguments: Any) -> tuple[Tensor, Tensor]:
         slots=g.one.shape[2],
         again=g.two.shape[2],
         outgoing=g.coupling.shape[1],
-        x=values.shape[2],
+        x=g.row,
         width=width,
     )
     return values, unit
@@ -225,7 +225,7 @@ def _exitant_kernel(*arguments: Any) -> tuple[Tensor, Tensor]:
 
 def _in_groups(g: _Exitant) -> tuple[Tensor, Tensor]:
     groups = g.weights.shape[0] * g.weights.shape[2] // GROUP
-    values = g.direct.new_empty(groups, 3, g.row, GROUP, dtype=torch.int16)
+    values = g.direct.new_empty(groups, 3, g.row + 1, GROUP, dtype=torch.int16)
     return values, g.direct.new_empty(values.shape[:3])
 
 

@@ -51,8 +51,8 @@ struct Exitant {
     const float *coupling, *to_factors, *to_harmonics;   // M (3, o, i), C (HARMONICS, i), (HARMONICS, HARMONICS)
     const float *weights;                                // (blocks, e, width)
     const int64_t *cluster;                              // (blocks)
-    int16_t *out;                                        // (blocks * width / GROUP, 3, x, GROUP)
-    float *unit;                                         // of each row of a group: (blocks * width / GROUP, 3, x)
+    int16_t *out;                                        // (blocks * width / GROUP, 3, x + 1, GROUP)
+    float *unit;                                         // of each row of a group: (blocks * width / GROUP, 3, x + 1)
     int64_t blocks, eigen, factors, slots, again, outgoing, x, width;  // again: pairs; x: o, or o + HARMONICS
     int32_t threads;
 };
@@ -66,7 +66,7 @@ struct View {
     const int32_t *cuts, *point;           // point (blocks * width): row of `out`, -1 for none
     const int64_t *which;
     float *out;                            // (points, 3)
-    int64_t blocks, width, rows, points;   // rows: of values, 1 + o + s
+    int64_t blocks, width, rows, points;   // rows: of values, 1 + o + s + 1
     int32_t distant, factors, harmonics, lobes, tilts, disk, cells, map;  // disk, cells, map: sides of grids
     int32_t threads;
 };

@@ -169,7 +169,8 @@ static inline void shade(const View &g, int64_t v, const Look<K> &at, int64_t la
     const int16_t *q[3] = {sent, sent + g.rows * w, sent + 2 * g.rows * w};
     const float *own = g.unit + v / w * 3 * g.rows, *unit[3] = {own, own + g.rows, own + 2 * g.rows};
     const auto row = [=](int c, int x) { return unit[c][x] * load(q[c] + x * w); };
-    Lanes out[3] = {row(0, 0), row(1, 0), row(2, 0)}, glossy[3] = {};
+    Lanes out[3], glossy[3] = {};
+    for (int c = 0; c < 3; ++c) out[c] = row(c, 0) + row(c, g.rows - 1);
     if (g.colour)
         for (int c = 0; c < 3; ++c) out[c] *= load(g.colour + c * g.blocks * w + v);
     if (o > 1 && at.some) {

@@ -92,7 +92,7 @@ def _write(region: ViewedRegion, outgoing: Tensor, out: Tensor) -> None:
         points=out.shape[0],
         distant=eye.ndim == 2,
         factors=factors,
-        harmonics=rows - factors,
+        harmonics=rows - 1 - factors,
         lobes=0 if gloss is None else gloss.which.shape[0],
         tilts=0 if gloss is None else gloss.axes.shape[0],
         disk=side(outgoing.shape[0]),
@@ -110,7 +110,7 @@ def _conditions(*arguments: Sequence[Tensor | None]) -> Conditions:
     for region in _regions(*arguments[:-1]):
         yield from _of_points(region, 1 + outgoing.shape[1])
         if region.lobes is not None:
-            yield from _of_lobes(region.lobes, region.points.cuts, region.sent.values.shape[2] - 1 - outgoing.shape[1])
+            yield from _of_lobes(region.lobes, region.points.cuts, region.sent.values.shape[2] - 2 - outgoing.shape[1])
 
 
 def _of_points(region: ViewedRegion, factors: int) -> Conditions:
@@ -125,7 +125,7 @@ def _of_points(region: ViewedRegion, factors: int) -> Conditions:
     b, _, rows, width = values.shape
     n = b * width
     yield width % GROUP == 0, f"blocks must hold a multiple of {GROUP} points"
-    yield rows >= factors, "values must have a row for each outgoing factor"
+    yield rows > factors, "values must have a row for each outgoing factor, and one more"
     yield points.position.shape == (3, n), "position must be (3, n)"
     yield points.frame.shape == (3, 3, n), "frame must be (3, 3, n)"
     yield points.dip.shape == points.point.shape == (n,), "dip and point must be (n,)"

@@ -80,7 +80,7 @@ def view() -> None:
         place,
         points_at(place, n),
     )
-    sent = OutgoingLight(words(blocks, 3, 6 + 16, w), uniform(blocks, 3, 6 + 16))
+    sent = OutgoingLight(words(blocks, 3, 6 + 16 + 1, w), uniform(blocks, 3, 6 + 16 + 1))
     gloss = LitLobes(
         torch.tensor([0, 2]),
         uniform(20, 2),
@@ -90,7 +90,7 @@ def view() -> None:
         torch.eye(3),
         uniform(2, 16),
     )
-    dull = OutgoingLight(words(blocks, 3, 6, w), uniform(blocks, 3, 6))
+    dull = OutgoingLight(words(blocks, 3, 6 + 1, w), uniform(blocks, 3, 6 + 1))
     coloured = surface._replace(colour=uniform(3, n))
     eye = torch.tensor([0.2, 0.4, 5.0])
     native.view([ViewedRegion(surface, eye, sent, gloss), ViewedRegion(coloured, eye, dull, None)], uniform(36, 5))
