@@ -31,7 +31,7 @@ class OutgoingLight(NamedTuple):
     """What points in blocks send out: values (b, c, x, w) times the unit (b, c, x) of each row.
 
     Values of 16 bits have a row more, the last: what rounding took from the first, the diffuse one, which is the most
-    of what is seen (on the engine rounding erred by 9e-6, and by 1e-6 beside that row).
+    of what is seen (on the engine rounding erred by 9e-6 without that row, and errs by 1e-6).
     """
 
     values: Tensor

@@ -137,18 +137,25 @@ static inline void expand_block(const Exitant &g, int64_t b, const float *eigen)
         }
 }
 
-// Blocks of a cluster follow each other: its eigen-points are made where its points are, and stay in the cache.
+// Where runs of blocks of one cluster begin, and the end of the last; long ones are shared out among the threads.
+static std::vector<int64_t> runs_of(const Exitant &g) {
+    const int64_t most = g.blocks / (PARTS_EACH * g.threads) + 1;
+    std::vector<int64_t> starts;
+    for (int64_t b = 0; b < g.blocks; ++b)
+        if (!b || g.cluster[b] != g.cluster[b - 1] || b - starts.back() == most) starts.push_back(b);
+    starts.push_back(g.blocks);
+    return starts;
+}
+
+// Eigen-points are made where the points of their cluster are, and stay in the cache.
 extern "C" int32_t ptt_exitant(const Exitant *g) {
     static_assert(WIDTH % (ACROSS * LANES) == 0 && WIDTH % GROUP == 0, "blocks hold whole tiles, and whole groups");
     const Rows rows = rows_of(*g);
-#pragma omp parallel num_threads(g->threads)
-    by_parts(g->blocks, [&](int64_t first, int64_t end) {
+    const std::vector<int64_t> starts = runs_of(*g);
+    in_parallel(starts.size() - 1, g->threads, [&](int64_t i) {
         std::vector<float> eigen(3 * g->eigen * g->x), second(g->eigen);
-        for (int64_t b = first; b < end; ++b) {
-            if (b == first || g->cluster[b] != g->cluster[b - 1])
-                eigen_points(*g, rows, g->cluster[b], second.data(), eigen.data());
-            expand_block(*g, b, eigen.data());
-        }
+        eigen_points(*g, rows, g->cluster[starts[i]], second.data(), eigen.data());
+        for (int64_t b = starts[i]; b < starts[i + 1]; ++b) expand_block(*g, b, eigen.data());
     });
     return DONE;
 }
