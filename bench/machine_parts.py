@@ -134,16 +134,16 @@ def bounds(
     square = torch.rand(2048, 2048)
     peak = 2 * 2048**3 / median_seconds(lambda: square @ square)
     seconds = products = 0.0
+    of_harmonics = Responses(steps.to_factors, steps.to_harmonics)
     for region, arriving, layers in zip(model.clustered, lit.arriving, sent.layers, strict=True):
         layer = layers[0]
         coupling = torch.rand(3, 1 + len(model.brdf.u_o), arriving.direct.shape[3])
         h = torch.rand(len(region.slots), 3), torch.rand(len(region.pairs), 3)
-        of_harmonics = Responses(steps.to_factors, steps.to_harmonics)
         blocks = region.weights, region.cluster
         glossy = layer.lobes is not None
         call = partial(native.exitant, arriving, *h, coupling, of_harmonics, *blocks, glossy)
         seconds += median_seconds(call, 40)
-        products += 2 * region.weights.numel() * 3 * layer.sent.values.shape[-2]
+        products += 2 * region.weights.numel() * 3 * (layer.sent.values.shape[2] - 1)
     how = f"{products / 1e6:.0f} million products and sums a frame from eigen-points to points, those of eigen-points"
     how = f"{how} aside; torch's 2048 x 2048 ones: {peak / 1e9:.0f} GFLOP/s"
     row(f"{what}, exitant over torch's product of matrices, rate of arithmetic", products / seconds / peak, "", how)

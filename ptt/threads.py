@@ -44,17 +44,17 @@ class _Load:
     """What other processes use of the cores that this one may run on."""
 
     def __init__(self) -> None:
-        self.cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+        self.cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(ALL))
         self.asked, self.used, self.others = time.monotonic(), self._used(), 0.0
 
     def free(self) -> int:
         """Cores that others leave, at least one."""
         now = time.monotonic()
-        if self.cores and now - self.asked >= EVERY:
+        if now - self.asked >= EVERY:
             used = self._used()
             self.others = (used - self.used) / (now - self.asked)
             self.asked, self.used = now, used
-        return max(1, len(self.cores) - max(0, round(self.others))) if self.cores else ALL
+        return max(1, len(self.cores) - max(0, round(self.others)))
 
     def _used(self) -> float:
         """Seconds of these cores that went to other processes, since some time; 0 where nothing tells."""
@@ -92,7 +92,7 @@ def share() -> None:
 def _alone() -> None:
     """Leave torch and the kernels one thread, for good."""
     torch.set_num_threads(1)
-    _own.number = ALL
+    _own.number = _Own.number = ALL  # so that 1 is not what `share` chose, in any Python thread
 
 
 if hasattr(os, "register_at_fork"):

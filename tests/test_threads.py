@@ -3,9 +3,10 @@
 import os
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -41,6 +42,17 @@ def others(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[float]]:
     yield seconds
 
 
+def shared() -> int:
+    """The number of threads after `share`."""
+    threads.share()
+    return torch.get_num_threads()
+
+
+def shared_by_a_new_thread() -> int:
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(shared).result()
+
+
 @pytest.mark.parametrize(("used", "number"), [(0.0, 4), (0.3, 4), (0.8, 3), (2.2, 2), (4.0, 1), (-0.6, 4)])
 def test_there_is_a_thread_for_each_core_that_others_leave(others: list[float], used: float, number: int) -> None:
     others[0] += used
@@ -63,23 +75,22 @@ def test_a_number_that_was_chosen_stays(others: list[float], monkeypatch: pytest
 
 def test_python_threads_share_alike(others: list[float]) -> None:
     """Torch keeps a number for each: one that is new begins with the last that was chosen."""
-    found = []
-
-    def frame() -> None:
-        threads.share()
-        found.append(torch.get_num_threads())
-
     others[0] += 3.0
     threads.share()
     others[0] += 2.0
-    new = threading.Thread(target=frame)
-    new.start()
-    new.join()
-    assert found == [2]
+    assert shared_by_a_new_thread() == 2
 
 
-@pytest.mark.skipif(not threads._load.cores, reason="nothing tells what others use")
-def test_processes_that_compute_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_after_a_fork_there_is_one_thread_for_good(others: list[float]) -> None:
+    """In Python threads that are new, too, whatever was chosen before."""
+    others[0] += 4.0
+    threads.share()
+    threads._alone()
+    assert shared() == shared_by_a_new_thread() == 1
+
+
+@pytest.mark.skipif(not Path("/proc/stat").exists(), reason="nothing tells what others use")
+def test_processes_that_compute_are_seen() -> None:
     """And what this one uses is not taken for theirs."""
     load = threads._Load()
     until = time.monotonic() + 0.5

@@ -87,8 +87,8 @@ static inline void fetch(const void *row, int64_t bytes) {
     for (int64_t i = 0; i < bytes; i += LINE) __builtin_prefetch((const char *)row + i);
 }
 
-// K rows of a table for each point of a block, mixed by weights times the rows' scale, over their sum, which `gain` holds:
-// with the sum of what is kept of them in 16 bits, which erred by 2e-4 in the mean.
+// K rows of a table for each point of a block, mixed by weights times the rows' scale, over their sum, which `gain` holds.
+// What 16 bits keep of weights has a sum of its own, which is divided by: results erred by 2e-4 in the mean.
 template <class V, class T, int K>
 struct Rows {
     typedef typename std::remove_reference<decltype(V{}[0])>::type Number;
