@@ -59,6 +59,10 @@ NORMAL = 127
 NOTHING = -128
 """What stands in these bytes where nothing is met."""
 
+EDGE = 0.95
+"""The cosine of 18 degrees, the angle between normals of neighbouring cells from which an edge lies between them: in a
+trial on an engine 11 to 60 degrees served alike, with 25.5 to 27 % of error where no edges left 39.4."""
+
 SPREAD = 9.5
 """The level that a lobe as wide as all of a material together would have, 66 degrees, from which what they see of
 surfaces goes over to the mean of all that a point sees, within one level."""

@@ -58,20 +58,22 @@ def gather(surface: Surface, faces: Tensor, points: Tensor, frames: Tensor, loca
     """
     hits = first_hits(surface, points, frames, local)
     corner = (hits.barycentric.cumsum(1)[:, :2] < u.flatten()[:, None]).sum(1)
-    return _corners(faces, hits, corner).reshape(u.shape)
+    return _corners(faces, torch.where(hits.front, hits.triangle, -1), corner).reshape(u.shape)
 
 
 def meets(surface: Surface, faces: Tensor, shading: Tensor, points: Tensor, frames: Tensor, local: Tensor) -> Tensor:
     """What each point sees in each local direction (n, 3), n even: (v, 3 n / 2) int32, as `meets_packed`: the vertex,
-    the nearest of the triangle, and the normal in the world, interpolated between vertices.
+    the nearest of the triangle, and the normal in the world, interpolated between vertices. That of a back face points
+    away from what sees it.
 
-    surface, faces, points, frames: as for `gather`; back faces show nothing
+    surface, faces, points, frames: as for `gather`
     shading (p, 3, 3): frames of all vertices
     """
     hits = first_hits(surface, points, frames, local)
-    met = _corners(faces, hits, hits.barycentric.argmax(1))
+    met = _corners(faces, hits.triangle, hits.barycentric.argmax(1))
     corner_normals = shading[faces[hits.triangle.clamp(min=0)], 2]  # shape: (v * n, 3, 3)
     normal = (hits.barycentric[:, None].to(shading) @ corner_normals)[:, 0]
+    normal = torch.where(hits.front[:, None], normal, (local.to(frames) @ frames).flatten(0, 1).to(normal))
     seen = len(points), len(local)
     return meets_packed(met.reshape(seen), normal.reshape(*seen, 3))
 
@@ -102,9 +104,9 @@ def first_hits(surface: Surface, points: Tensor, frames: Tensor, local: Tensor) 
     return surface.first_hit(surface.offset(points, frames[:, 2]).repeat_interleave(len(local), 0), directions)
 
 
-def _corners(faces: Tensor, hits: Hits, corner: Tensor) -> Tensor:
-    """The vertices (n,) int32 at some corners (n,) of what was hit; -1 for none."""
-    return torch.where(hits.front, faces[hits.triangle.clamp(min=0), corner], -1).int()
+def _corners(faces: Tensor, triangle: Tensor, corner: Tensor) -> Tensor:
+    """The vertices (n,) int32 at some corners (n,) of triangles (n,); -1 for none."""
+    return torch.where(triangle < 0, -1, faces[triangle.clamp(min=0), corner]).int()
 
 
 def unpack(bits: Tensor, length: int) -> Tensor:

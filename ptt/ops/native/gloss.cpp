@@ -237,9 +237,10 @@ static inline void see(const Shine &g, int64_t v, int64_t later, Look &at) {
     }
 }
 
-// Points that a group sees, and their normals in the world, of unit directions from them to the group in the world.
+// Points that a group sees: which are there and face it, and where none is met at all; their normals in the world, and
+// unit directions from them to the group.
 struct Met {
-    Ints there, point;
+    Ints there, none, point;
     Lanes normal[3], wo[3];
 };
 
@@ -253,17 +254,23 @@ static inline void normal_of(const int32_t *meets, Ints pair, Ints second, Lanes
     normal[0] = x * scale, normal[1] = y * scale, normal[2] = z * scale;
 }
 
-// The same, bilinear between cells about (a, b) (ptt.ops.around._between_normals).
+// The same, bilinear between the cells about (a, b) across which no edge lies (ptt.ops.around._between_normals).
 static inline void between_normals(const int32_t *meets, Ints from, Lanes a, Lanes b, Lanes *normal) {
     const Place p = place(a, b, MEETS);
-    Lanes corner[4][3], mean[3];
+    const Lanes left = 1.0f - p.x, above = 1.0f - p.y;
+    const Lanes weight[4] = {left * above, p.x * above, left * p.y, p.x * p.y};
+    Lanes corner[4][3], nearest[3], mean[3] = {};
     for (int k = 0; k < 4; ++k) {
         const Ints column = p.column + (k & 1), cell = (p.row + (k >> 1)) * MEETS + column;
         normal_of(meets, from + cell / 2 * 3, column & 1, corner[k]);
     }
     for (int c = 0; c < 3; ++c) {
-        const Lanes e[4] = {corner[0][c], corner[1][c], corner[2][c], corner[3][c]};
-        mean[c] = blend(e, p.x, p.y);
+        const Lanes upper = p.x > left ? corner[1][c] : corner[0][c], lower = p.x > left ? corner[3][c] : corner[2][c];
+        nearest[c] = p.y > above ? lower : upper;
+    }
+    for (int k = 0; k < 4; ++k) {
+        const Lanes *n = corner[k], cosine = n[0] * nearest[0] + n[1] * nearest[1] + n[2] * nearest[2];
+        for (int c = 0; c < 3; ++c) mean[c] += cosine > EDGE ? weight[k] * n[c] : all(0);
     }
     const Lanes length = root(mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2]);
     for (int c = 0; c < 3; ++c) normal[c] = mean[c] / most(length, all(TINY));
@@ -360,7 +367,8 @@ static inline void meet(const int32_t *meets, Ints at, const Lanes *axis, Ints w
     met.point = (Ints)gather((const float *)meets, at);
     Lanes cosine = all(0);
     for (int c = 0; c < 3; ++c) met.wo[c] = -axis[c], cosine += met.wo[c] * met.normal[c];
-    met.there = wanted & (met.point >= 0) & (cosine > 0);
+    met.none = met.point < 0;
+    met.there = wanted & ~met.none & (cosine > 0);
     met.point = met.there ? met.point : Ints{};
 }
 
@@ -446,13 +454,13 @@ static inline void take_parts(const Shine &g, int64_t v, Pairs &pairs, float (*s
         const float *mean = g.mean + c * g.n + v;
         for (int i = 0; i < pairs.count; ++i) {
             const int point = pairs.point[i];
-            sums[c][point] += pairs.weight[c][i] * (met.there[i] ? out[c][i] : mean[point]);
+            sums[c][point] += pairs.weight[c][i] * (met.there[i] ? out[c][i] : met.none[i] ? mean[point] : 0);
         }
     }
     pairs.count = 0;
 }
 
-// What others send against the axis as one lobe, the mean of all where they face away, times the share that is hidden
+// What others send against the axis as one lobe, the mean of all where none is met, times the share that is hidden
 // from the sky (ptt.ops.around.from_points)
 static inline void take_from(const Shine &g, int64_t v, const Others &o, Lanes *out) {
     if (any(o.met.there & (o.close < 1))) {
@@ -464,7 +472,7 @@ static inline void take_from(const Shine &g, int64_t v, const Others &o, Lanes *
         for (int c = 0; c < 3; ++c) out[c] = all(0);
     const Lanes share = (1.0f - o.spread) * (1.0f - o.close);
     for (int c = 0; c < 3; ++c) {
-        const Lanes mean = load(g.mean + c * g.n + v), one = o.met.there ? out[c] : mean;
+        const Lanes mean = load(g.mean + c * g.n + v), one = o.met.there ? out[c] : o.met.none ? mean : all(0);
         out[c] = o.hidden > CLEAR ? o.hidden * (share * one + o.spread * mean) : all(0);
     }
 }
