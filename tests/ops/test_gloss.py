@@ -303,18 +303,45 @@ def test_a_ceiling_reflects_by_several_lobes_where_much_of_it_is_seen() -> None:
     assert got == pytest.approx(expected * albedo, rel=0.03)
 
 
-def test_a_ceiling_that_looks_away_or_is_not_there_sends_nothing() -> None:
+def test_a_ceiling_that_looks_away_sends_nothing_and_where_none_is_the_mean_of_all_does() -> None:
     blocks, nothing = points(16, lambda d: d[:, 2] > 2)
-    tables = cells.gloss_of(grey(GGX(1.0, 0.3)), True, 16)
+    tables = cells.gloss_of(grey(GGX(1.0, 0.1)), True, 16)
     dark = light_of(lambda d: torch.zeros(len(d)))
-    around = ceiling(torch.ones(SENT), torch.ones(ROW), points(16)[1])
+    wo = tilted(30.0, 0.0, 16)
+    albedo = dense(GGX(1.0, 0.1), wo[:, 0], lambda d: torch.ones(len(d)))
+    around = ceiling(torch.ones(SENT), torch.ones(ROW), points(16)[1])._replace(mean=torch.full((3, 16), 0.5))
     upward = torch.tensor([0.0, 0.0, 1.0]).expand(16, MEETS * MEETS, 3)
-    away, none = (
-        around._replace(meets=transfer.meets_packed(torch.full((16, MEETS * MEETS), met, dtype=torch.int32), upward))
-        for met in (0, -1)
-    )
-    for other in (away, none):
-        assert not gloss.shine(blocks, tilted(30.0, 0.0, 16), nothing, tables, dark, other).any()
+    for met, expected in ((0, 0.0), (-1, 0.5 * albedo)):
+        numbers = torch.full((16, MEETS * MEETS), met, dtype=torch.int32)
+        others = around.meets[:1] if met == 0 else torch.full_like(around.meets[:1], -1)
+        for beyond in (None, others):
+            given = around._replace(meets=transfer.meets_packed(numbers, upward), others=beyond)
+            got = gloss.shine(blocks, wo, nothing, tables, dark, given)
+            assert got.flatten().tolist() == pytest.approx([expected] * 48, rel=0.02, abs=0.003)
+
+
+def test_normals_are_mixed_where_a_ceiling_bends_and_not_across_a_fold() -> None:
+    """Seen beside the line where the normals of two halves meet: of halves that lean apart by 8 degrees something in
+    between is reflected, of such by 30 degrees what the nearer half alone reflects."""
+    blocks, nothing = points(16, lambda d: d[:, 2] > 2)
+    tables, dark = cells.gloss_of(grey(GGX(1.0, 0.1)), True, 1), light_of(lambda d: torch.zeros(len(d)))
+    sky = light_of(lambda d: 1 + d[:, 0])
+    mirror = torch.tensor([0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0])
+    around = ceiling(torch.zeros(SENT), mirror, points(16)[1])._replace(maps=sky.maps)
+    around = around._replace(others=torch.full_like(around.meets[:1], -1))
+    numbers = torch.zeros(16, MEETS * MEETS, dtype=torch.int32)
+    beyond = (torch.arange(MEETS * MEETS) % MEETS >= MEETS // 2)[:, None]
+
+    def reflected(near: float, far: float) -> float:
+        normals = torch.where(beyond, tilted(far)[:, 0], tilted(near)[:, 0]) * torch.tensor([1.0, -1.0, -1.0])
+        leaning = around._replace(meets=transfer.meets_packed(numbers, normals.expand(16, -1, 3)))
+        return float(gloss.shine(blocks, tilted(1.5, 0.0, 16), nothing, tables, dark, leaning)[0, 0])
+
+    bent = reflected(4.0, -4.0)
+    assert sorted((bent, reflected(4.0, 4.0), reflected(-4.0, -4.0)))[1] == bent
+    assert abs(bent - reflected(4.0, 4.0)) > 0.01
+    assert reflected(15.0, -15.0) == pytest.approx(reflected(15.0, 15.0), rel=1e-5)
+    assert abs(reflected(15.0, 15.0) - reflected(-15.0, -15.0)) > 0.5
 
 
 def test_a_ceiling_reflects_by_its_normals_and_not_by_those_of_its_vertices() -> None:

@@ -196,6 +196,18 @@ def test_what_is_met_is_the_nearest_vertex_and_the_normal_between_all() -> None:
     assert words[:, 2:].view(torch.int8)[0, 2:].tolist() == [NOTHING, NOTHING]
 
 
+def test_a_back_that_is_met_looks_away() -> None:
+    """Above a point is the back of a triangle, whichever way its vertices lean."""
+    corners = torch.tensor([[-1.0, -1.0, 2.0], [0.0, 2.0, 2.0], [1.0, -1.0, 2.0]])
+    down = torch.tensor([0.0, 0.0, -1.0]).expand(3, 3)
+    scene = ptt.Scene.from_mesh(corners, torch.tensor([[0, 2, 1]]), normals=down)
+    local = torch.tensor([[0.0, 0.0, 1.0], [0.1, 0.1, 1.0]], dtype=torch.float64)
+    words = transfer.meets(scene.surface, scene.faces, scene.frames, torch.zeros(1, 3), torch.eye(3)[None], local)
+    assert int(transfer.vertices_met(words).min()) >= 0
+    normals = from_octahedral(words[:, 2:].view(torch.int8).float().reshape(2, 2) / NORMAL)
+    assert bool((normals.double() * local).sum(1).gt(0.9).all())
+
+
 def test_normals_of_bytes_are_right_to_a_degree() -> None:
     """Everywhere on the sphere: half a step of either coordinate, where the map is stretched the most."""
     directions = Octahedral(64).directions().reshape(1, -1, 3).float()

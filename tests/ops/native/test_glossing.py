@@ -109,7 +109,8 @@ def in_double(x: Inputs) -> Inputs:
 
 def surroundings(n: int, p: int, g: torch.Generator) -> Around:
     """Of noise, but for the rows of a region's table, which are alike, so that rounding chooses none of them."""
-    normals = torch.randn(n, MEETS * MEETS, 3, generator=g)
+    bent = torch.where(torch.arange(n)[:, None, None] < n // 2, 0.2, 3.0)  # half of the surroundings are smooth
+    normals = torch.randn(n, 1, 3, generator=g) + bent * torch.randn(n, MEETS * MEETS, 3, generator=g)
     meets = meets_packed(torch.randint(-1, p, (n, MEETS * MEETS), generator=g).int(), normals)
     one_met = meets_packed(  # by each row: rounding chooses no cell
         torch.randint(-1, p, (7, 1), generator=g).int().expand(-1, MEETS * MEETS),
