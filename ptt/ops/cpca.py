@@ -11,13 +11,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ptt.ops.constants import TINY
-
 SWEEPS = 12  # at most, of assigning the points and fitting the bases: more take longer and leave less error
 SETTLED = 1e-3  # sweeps end when one lowers the error by less than this share of it
 ELEMENTS_AT_ONCE = 1 << 26  # of points times eigenvectors: 256 MB in float32
-PROJECTIONS = 40  # of a row onto half-spaces, at most
-LIFT = 1.2  # further than to the plane, so that they settle in few
 ROUNDING = 1e-13  # share of the largest eigenvalue of a float64 Gram matrix: smaller ones are rounding
 
 
@@ -67,31 +63,6 @@ def basis(data: Tensor, eigenvectors: int) -> Tensor:
     out = data.new_zeros(eigenvectors, r)
     out[: len(rows)] = (rows * real[:, None]).to(data)
     return out
-
-
-def bounded(weights: Tensor, bases: Tensor, share: float, change: float) -> Tensor:
-    """Weights (v, e) near the given ones, with which no number of weights @ bases, for bases (e, p), lies further below
-    zero than this share of the largest of its row.
-
-    change: by how much a row may change at most, of the root mean square of the lengths of all
-
-    The lowest number of a row is lifted to zero by the smallest change of its weights that does so, and then the lowest
-    that is left (projections onto half-spaces, Agmon 1954). A row that has not settled after 40 such, or has changed by
-    more, stays as it was.
-    """
-    size = bases.square().sum(0).clamp(min=TINY)
-    values = weights @ bases
-    found = weights
-    for _ in range(PROJECTIONS):
-        least, at = values.min(1)
-        below = least < -share * values.abs().amax(1)
-        if not bool(below.any()):
-            break
-        found = found - torch.where(below, LIFT * least / size[at], 0.0)[:, None] * bases[:, at].T
-        values = found @ bases
-    settled = values.amin(1) >= -share * values.abs().amax(1)
-    settled &= (found - weights).square().sum(1) <= change**2 * weights.square().sum(1).mean()
-    return torch.where(settled[:, None], found, weights)
 
 
 def _assign(data: Tensor, bases: Tensor) -> tuple[Tensor, Tensor]:

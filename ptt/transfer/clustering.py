@@ -5,7 +5,6 @@
 2. Clusters and their eigen-points are found among the features (`ops.cpca`); then T0, T1 and T2 of the eigen-points are
    made from those of the points.
 3. The lighting axis of every cluster is reduced once more (Tucker, on the modes of points and lighting).
-4. No part of the sky may take light from a point: weights change a little where it does (`SKY`, `BELOW`).
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from tqdm import tqdm
 from ptt import threads
 from ptt.models.clustered_transfer import STORAGE, WIDTH, ClusteredTransfer, in_blocks
 from ptt.models.transfer_model import TransferModel
-from ptt.ops import cpca, haar, kinds
+from ptt.ops import cpca, kinds
 from ptt.ops.constants import MOST_LOBES
 from ptt.ops.octahedral import tiles
 from ptt.ops.sparse import csr
@@ -33,13 +32,6 @@ SKETCH_DIRECTIONS = 256  # common directions of the features: more take longer a
 SKETCHED_POINTS = 1024  # points that decide those directions: in a trial 512 and 2048 left the same error
 POINTS_AT_ONCE = 64  # whose features are worked out together: of 512 half of the time went into fresh memory
 TRIED_EIGENVECTORS = (8, 16, 24, 32, 48, 64)  # numbers of eigenvectors that are tried for a given error
-SKY = 2  # cells along an edge of a cube map, parts of the sky that light points one by one
-BELOW = 0.01  # of the most by which one of these parts lights a point: the most by which another may take from it
-CHANGE = 0.02
-"""Of the weights of a cluster, the most by which those of a point may change for that: in a trial of a statue and an
-engine under uffizi 0.11 and 0.28 % of the vertices of a plastic had a negative value without bounds, 0.03 and 0.09 with
-this one, and direct light on a matt surface erred by 2.27 and 2.47 % where it did by 2.21 and 2.41; with 0.05, 0.01 and
-0.06 %, and by 2.5 and 2.7."""
 DEPENDENT = 1e-6  # an eigenvector whose part at right angles to those before it is relatively smaller is left out
 
 
@@ -169,7 +161,6 @@ class _RegionTransfer:
             independent = r.diagonal().abs() > DEPENDENT * r.diagonal().norm()
             combination[at, : q.shape[1]] = (q * independent).float() * math.sqrt(len(at))
             made.append(self._eigen_points(at, combination[at] / max(len(at), 1), clusters))
-            combination[at] = cpca.bounded(combination[at], self._by_sky(*made[-1][:2]), BELOW, CHANGE)
         columns, t0, lighting, t1, t2 = (torch.stack(parts) for parts in zip(*made, strict=True))
         cluster, place = in_blocks(labels, self.transfer.raw.receivers.frames[self.first : self.end, 2])
         weights = torch.zeros(len(cluster) * WIDTH, e, dtype=torch.float32).index_copy(0, place, combination)
@@ -264,13 +255,6 @@ class _RegionTransfer:
         weighed = energy * natural(grid, ALWAYS).square()
         columns = weighed.topk(min(clusters.columns, grid.cells)).indices.sort().values
         return columns, t0[:, columns].permute(1, 2, 0).flatten(1)
-
-    def _by_sky(self, columns: Tensor, t0: Tensor) -> Tensor:
-        """How parts of the sky light eigen-points diffusely (e, parts), by T0 (m, e * (1 + i)) of columns (m,)."""
-        grid = Cube(self.transfer.raw.resolution)
-        diffuse = t0.unflatten(1, (-1, len(self.transfer.weights.factors)))[..., 0].T
-        every = diffuse.new_zeros(len(diffuse), grid.cells).index_copy(1, columns, diffuse)
-        return haar.synthesise(every.unflatten(1, grid.shape)[..., :SKY, :SKY]).flatten(1)
 
 
 def _cluster_labels(x: Tensor, points: int, eigenvectors: int) -> Tensor:

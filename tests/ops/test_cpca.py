@@ -163,40 +163,6 @@ def test_rows_beyond_the_rank_are_zero(n: int, r: int) -> None:
     assert (x - x @ rows.T @ rows).norm() < 1e-12 * x.norm()
 
 
-def test_bounded_rows_are_above_their_bound_and_the_others_stay() -> None:
-    """Bases of light from above alone, and of what rings about zero: rows of which less rings stay to the bit."""
-    g = generator()
-    bases = torch.cat((torch.rand(1, 24, generator=g) + 0.5, 0.3 * torch.randn(7, 24, generator=g)))
-    weights = torch.cat((torch.rand(500, 1, generator=g), torch.randn(500, 7, generator=g)), 1)
-    values = weights @ bases
-    least = values.amin(1) / values.abs().amax(1)
-    got = cpca.bounded(weights, bases, 0.05, 100.0)
-    after = got @ bases
-    assert bool((after.amin(1) >= -0.05 * after.abs().amax(1)).all())
-    fine = least >= -0.05
-    assert 0 < int(fine.sum()) < 400 and bool((got[fine] == weights[fine]).all())
-    assert bool((got[~fine] != weights[~fine]).any(1).all())
-
-
-def test_one_number_below_zero_is_lifted_by_the_least_change() -> None:
-    bases = torch.tensor([[1.0, 1.0], [2.0, -1.0]])
-    weights = torch.tensor([[1.0, 3.0], [1.0, 0.5]])  # numbers 7 and -2, 2 and 0.5
-    got = cpca.bounded(weights, bases, 0.1, 100.0)
-    assert got[1].tolist() == weights[1].tolist()
-    change = got[0] - weights[0]
-    assert change.tolist() == pytest.approx([1.2, -1.2])  # 1.2 times to zero, across the plane
-    length = float(weights.square().sum(1).mean().sqrt())
-    for most, expected in ((0.99, weights), (1.01, got)):
-        share = most * float(change.norm()) / length
-        assert torch.equal(cpca.bounded(weights, bases, 0.1, share), expected)
-
-
-def test_rows_that_can_not_be_above_zero_stay() -> None:
-    bases = torch.tensor([[1.0, -1.0]])  # one number is the other's opposite
-    weights = torch.tensor([[2.0], [-0.5], [0.0]])
-    assert cpca.bounded(weights, bases, 0.02, 100.0).tolist() == weights.tolist()
-
-
 def test_refusals() -> None:
     for data, count, e in ((torch.zeros(0, 3), 1, 1), (torch.zeros(2, 3), 0, 1), (torch.zeros(2, 3), 1, 0)):
         with pytest.raises(ValueError, match=f"needs points, count >= 1 .* got {len(data)}, {count}, {e}"):

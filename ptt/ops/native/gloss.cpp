@@ -374,7 +374,7 @@ static inline void meet(const int32_t *meets, Ints at, const Lanes *axis, Ints w
 
 static inline void find_others(const Shine &g, int64_t v, const Look &at, Others &o) {
     o.spread = least(most(o.lobe->level - g.alone, all(0)), all(1));
-    o.met.there = (o.hidden > CLEAR) & (o.spread < 1);
+    o.met.there = (o.hidden > CLEAR) & (o.spread < 1), o.met.none = Ints{};
     if (!any(o.met.there)) return;
     framed(o.lobe->dark, at.frame, o.world);
     const Lanes length = root(o.world[0] * o.world[0] + o.world[1] * o.world[1] + o.world[2] * o.world[2]);
