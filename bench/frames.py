@@ -237,7 +237,7 @@ def naive(table: Table, name: str, transfer: Any, points: int = 500) -> None:
     t1 = one[:points].float()
     t2 = two[:points].float()
     t0 = transfer.direct.coarse[:points]
-    light, coarsest, fine = (torch.rand(n, 3) for n in (t1.shape[3], t2.shape[3], t0.shape[2]))
+    light, twice, fine = (torch.rand(n, 3) for n in (t1.shape[3], t2.shape[3], t0.shape[2]))
     h = torch.rand(t1.shape[1], 3)
     m = torch.rand(3, t0.shape[1], t0.shape[1])
     c = torch.rand(t1.shape[2], t0.shape[1])
@@ -245,7 +245,7 @@ def naive(table: Table, name: str, transfer: Any, points: int = 500) -> None:
 
     def frame() -> Tensor:
         arriving = torch.einsum("vqsl,lc,qc->vsc", t1, light, h)
-        arriving[:, 0] += torch.einsum("vpql,lc,pc,qc->vc", t2, coarsest, h, h)
+        arriving[:, 0] += torch.einsum("vpql,lc,pc,qc->vc", t2, twice, h, h)
         incident = torch.einsum("vil,lc->vic", t0, fine) + torch.einsum("vsc,si->vic", arriving, c)
         return torch.einsum("vo,coi,vic->vc", outgoing, m, incident)
 

@@ -74,8 +74,13 @@ def read_bandwidth() -> float:
 
 def setting() -> str:
     """Threads, torch and commit: what every timing depends on."""
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
-    return f"{torch.get_num_threads()} threads, torch {torch.__version__}, commit {commit.stdout.strip() or 'none'}"
+    return f"{torch.get_num_threads()} threads, torch {torch.__version__}, commit {commit(ROOT)}"
+
+
+def commit(checkout: Path) -> str:
+    """The short name of the commit that is checked out there."""
+    named = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=checkout, capture_output=True, text=True)
+    return named.stdout.strip() or "none"
 
 
 def draw(text: str) -> str:

@@ -15,7 +15,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-SCHEMA = 6  # of the files; it grows when files written before can no longer be read
+SCHEMA = 7  # of the files; it grows when files written before can no longer be read
 Shapes = Mapping[str, tuple[torch.dtype, tuple[int, ...]]]
 
 

@@ -29,7 +29,8 @@ from ptt.ops.view import points_at
 WIDTH = 128  # points in a block
 FACING = 16  # cells along an edge of the map of normals by which points are ordered
 SPAN = 1e-6  # of the largest singular value: a smaller one adds no direction to a joint factor of the points
-PARTS = ("cluster", "place", "weights", "columns", "direct", "lighting", "one", "two", "cuts", "seen", "meets", "sky")
+PARTS = ("cluster", "place", "weights", "columns", "direct", "lighting", "one", "twice", "two")
+PARTS = (*PARTS, "cuts", "seen", "meets", "sky")
 STORAGE = {"float32": torch.float32, "float16": torch.float16, "bfloat16": torch.bfloat16}
 
 
@@ -38,7 +39,8 @@ class ClusterTensors(NamedTuple):
 
     direct (v, m, 1 + i): T0, by the m `columns` of the cluster and the incident factors, the diffuse one first
     one (v, l', q, s): T1, by the coarse lighting, slots and harmonics; None where no slot lights the region
-    two (v, l'', pairs): T2, by the coarsest lighting and pairs of slots; None where there are no pairs
+    two (v, l'', pairs): T2, by its lighting (the axes `twice` of the coarse one) and pairs of slots; None where there
+        are no pairs
 
     The factor of the points is the same in all three; T1 has one of the coarse lighting too. All others are identities.
     """
@@ -57,7 +59,8 @@ class ClusteredTransfer(nn.Module):
     weights (b, e, WIDTH)
     columns (k, m) int64, direct (k, m, e * (1 + i)): T0 of the eigen-points, at some positions l of the lighting
     lighting (k, l', n): the cluster's own lighting axis, from coefficients of the coarse one
-    one (k, n, q * e * s): T1 on it; two (k, l'', pairs * e): T2 on the coarsest lighting
+    one (k, n, q * e * s): T1 on it
+    twice (l', l''): the lighting axes of T2, from coefficients of the coarse one; two (k, l'', pairs * e): T2 on them
     cuts (b * WIDTH, cells) int32: fractional visibility of the lobes, a byte each; cells = 0 where there are none
     seen (b * WIDTH, words), meets (b * WIDTH, words) int32: what is seen of the hemisphere, and which points of the
         model (`ops.gloss`); nothing without narrow lobes, which also leave of s the constant alone
@@ -71,6 +74,7 @@ class ClusteredTransfer(nn.Module):
     direct: Tensor
     lighting: Tensor
     one: Tensor
+    twice: Tensor
     two: Tensor
     cuts: Tensor
     seen: Tensor
@@ -216,7 +220,7 @@ class ClusteredTransfer(nn.Module):
         b = config["blocks"]
         k = config["clusters"]
         e = config["eigenvectors"]
-        n, coarse, coarsest = config["lighting"]
+        n, coarse, twice = config["lighting"]
         m = config["columns"]
         q = len(config["slots"])
         pairs = len(config["pairs"])
@@ -229,7 +233,8 @@ class ClusteredTransfer(nn.Module):
             "direct": (stored, (k, m, e * factors)),
             "lighting": (torch.float32, (k, coarse, n)),
             "one": (stored, (k, n, q * e * config["harmonics"])),
-            "two": (stored, (k, coarsest, pairs * e)),
+            "twice": (torch.float32, (coarse, twice)),
+            "two": (stored, (k, twice, pairs * e)),
             "cuts": (torch.int32, (b * WIDTH, config["cuts"])),
             "seen": (torch.int32, (b * WIDTH, config["seen"])),
             "meets": (torch.int32, (b * WIDTH, config["meets"])),

@@ -15,7 +15,7 @@ from ptt.materials.varying import SurfaceMaterial, Varying, all_shares
 from ptt.models import slots
 from ptt.models.cache import Cache, watched
 from ptt.models.clustered_transfer import ClusteredTransfer
-from ptt.models.indirect import COARSE, COARSEST, ORDER, blurs, responses
+from ptt.models.indirect import COARSE, ORDER, blurs, responses
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import harmonics
 from ptt.ops.compiling import in_python, opaque, uncompiled
@@ -155,18 +155,17 @@ class ClusterSteps(nn.Module):
         blurred = self.light.with_lobes(environment).whole
         light = blurred.light
         coarse = light[..., :COARSE, :COARSE].flatten(1)
-        coarsest = light[..., :COARSEST, :COARSEST].flatten(1)
-        arriving = [self._arriving(region, light.flatten(1), coarse, coarsest) for region in self.model.clustered]
+        arriving = [self._arriving(region, light.flatten(1), coarse) for region in self.model.clustered]
         return ClusterLight(arriving, blurred)
 
-    def _arriving(self, region: ClusteredTransfer, fine: Tensor, coarse: Tensor, coarsest: Tensor) -> ArrivingLight:
-        """What arrives at a region's eigen-points, of lighting (c, l) at three resolutions."""
+    def _arriving(self, region: ClusteredTransfer, fine: Tensor, coarse: Tensor) -> ArrivingLight:
+        """What arrives at a region's eigen-points, of lighting (c, l) at two resolutions."""
         light_eigen = self._operations.light_eigen
         e = region.eigenvectors
         direct = light_eigen(region.direct, fine, region.columns).unflatten(2, (e, -1))
         reduced = light_eigen(region.lighting, coarse)  # shape: (k, c, n)
         one = light_eigen(region.one, reduced).unflatten(2, (len(region.slots), e, ORDER**2))
-        two = light_eigen(region.two, coarsest).unflatten(2, (len(region.pairs), e))
+        two = light_eigen(region.two, coarse @ region.twice).unflatten(2, (len(region.pairs), e))
         return ArrivingLight(direct, one, two)
 
     @opaque

@@ -24,7 +24,7 @@ from ptt.materials.varying import SurfaceMaterial, Varying, all_shares
 from ptt.models import slots
 from ptt.models.cache import Cache, watched
 from ptt.models.clustered_transfer import ClusteredTransfer
-from ptt.models.indirect import COARSE, COARSEST
+from ptt.models.indirect import COARSE
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import haar
 from ptt.ops.around import Around
@@ -171,8 +171,7 @@ class LobeSteps(nn.Module):
         light = split.whole.light
         fine = split.rest.light.flatten(1)
         coarse = light[..., :COARSE, :COARSE].flatten(1)
-        coarsest = light[..., :COARSEST, :COARSEST].flatten(1)
-        arriving = [self._arriving(region, fine, coarse, coarsest) for region in self.model.clustered]
+        arriving = [self._arriving(region, fine, coarse) for region in self.model.clustered]
         cells, shares = _cells_of(split.lamps, self.model.grid)
         through = [self._operations.lamp_visibility(region.sky, cells, shares) for region in self.model.clustered]
         of_lamps = [
@@ -180,15 +179,13 @@ class LobeSteps(nn.Module):
         ]
         return LobeLight(arriving, through, torch.cat(through, 1).T.contiguous(), of_lamps, split)
 
-    def _arriving(
-        self, region: ClusteredTransfer, fine: Tensor, coarse: Tensor, coarsest: Tensor
-    ) -> ArrivingIrradiance:
-        """What arrives at a region's eigen-points, of lighting (c, l) at three resolutions."""
+    def _arriving(self, region: ClusteredTransfer, fine: Tensor, coarse: Tensor) -> ArrivingIrradiance:
+        """What arrives at a region's eigen-points, of lighting (c, l) at two resolutions."""
         light_eigen = self._operations.light_eigen
         e = region.eigenvectors
         direct = light_eigen(region.direct, fine, region.columns)
         one = light_eigen(region.one, light_eigen(region.lighting, coarse)).unflatten(2, (len(region.slots), e))
-        two = light_eigen(region.two, coarsest).unflatten(2, (len(region.pairs), e))
+        two = light_eigen(region.two, coarse @ region.twice).unflatten(2, (len(region.pairs), e))
         return ArrivingIrradiance(direct, one, two)
 
     @opaque

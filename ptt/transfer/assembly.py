@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from ptt.models.brdf_basis import BRDFBasis
-from ptt.models.indirect import COARSE, COARSEST, ORDER, responses
+from ptt.models.indirect import COARSE, ORDER, TWICE, responses
 from ptt.models.slots import Slot, slots_of
 from ptt.models.tensor_brdf import TensorBRDF
 from ptt.models.transfer_model import Highlights
@@ -58,8 +58,8 @@ class DirectTransfer:
 class IndirectTransfer(NamedTuple):
     """T1 and T2 of all points.
 
-    one (v, q, s, l'), two (v, q', q, l''): T1 and T2 times `scale`, float16
-    axes (l', l): the lighting l' of T1 in the coarse Haar basis
+    one (v, q, s, l'), two (v, q', q, l''): T1 and T2 times `scale`, float16; l'' are the first of l'
+    axes (l', l): the lighting l' of T1 in the coarse Haar basis, most important first
     """
 
     one: Tensor
@@ -247,7 +247,7 @@ def _axis_count(points: int, slots: int, bounces: int, max_memory: float) -> int
     each = 2 * points * slots * ORDER**2
     if not each:
         return AXES
-    two = 2 * points * slots**2 * 6 * COARSEST**2 if bounces == 2 else 0
+    two = 2 * points * slots**2 * TWICE if bounces == 2 else 0
     fit = int((MEMORY_SHARE * max_memory - two) / each)
     if fit < FEWEST_AXES:
         need = math.ceil((two + each * FEWEST_AXES) / MEMORY_SHARE)
@@ -271,10 +271,9 @@ def _weights(brdf: TensorBRDF, basis: BRDFBasis, slots: list[Slot]) -> PictureWe
 
 
 def _no_indirect(points: int) -> IndirectTransfer:
-    two = torch.zeros(points, 0, 0, 6 * COARSEST**2, dtype=torch.float32)
     return IndirectTransfer(
         torch.zeros(points, 0, ORDER**2, 0, dtype=torch.float32),
-        two,
+        torch.zeros(points, 0, 0, 0, dtype=torch.float32),
         torch.zeros(0, 6 * COARSE**2, dtype=torch.float32),
         1.0,
     )
@@ -290,7 +289,7 @@ def _indirect(bounces: Bounces, weights: PictureWeights, count: int, progress: b
 
     (t1,) = of_all(len(bounces.raw.receivers), POINTS_AT_ONCE, once, "one bounce", progress)
     back = axes.T / weights.light  # shape: (l', l)
-    return IndirectTransfer(t1, _t2(bounces, t1, back, progress), back, scale)
+    return IndirectTransfer(t1, _t2(bounces, t1, progress), back, scale)
 
 
 def _principal_lighting(bounces: Bounces, weights: PictureWeights, count: int) -> tuple[Tensor, float]:
@@ -308,18 +307,11 @@ def _principal_lighting(bounces: Bounces, weights: PictureWeights, count: int) -
     return torch.linalg.eigh(gram).eigenvectors.flip(1)[:, :count].float(), largest
 
 
-def _t2(bounces: Bounces, t1: Tensor, back: Tensor, progress: bool) -> Tensor:
-    """T2 (v, q', q, l'') from T1 (v, q, s, l') of all points; back (l', l): from its lighting to the coarse basis."""
+def _t2(bounces: Bounces, t1: Tensor, progress: bool) -> Tensor:
+    """T2 (v, q', q, l'') from T1 (v, q, s, l') of all points, on the first of its axes of lighting."""
     if bounces.raw.bounces < 2:
-        return torch.zeros(len(t1), 0, 0, 6 * COARSEST**2, dtype=torch.float16)
-    coarsest = torch.zeros(6, COARSE, COARSE, dtype=torch.bool)
-    coarsest[:, :COARSEST, :COARSEST] = True
-    lighting = back[:, coarsest.flatten()]
-
-    def arrived(rows: Tensor) -> tuple[Tensor]:
-        return ((t1[rows].float() @ lighting).half().transpose(1, 2),)
-
-    (arriving,) = of_all(len(t1), 1024, arrived)
+        return torch.zeros(len(t1), 0, 0, TWICE, dtype=torch.float16)
+    arriving = t1[..., :TWICE].transpose(1, 2).contiguous()
 
     def twice(rows: Tensor) -> tuple[Tensor]:
         return (bounces.second_bounce(rows, arriving).half(),)

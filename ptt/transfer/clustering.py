@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from ptt import threads
 from ptt.models.clustered_transfer import STORAGE, WIDTH, ClusteredTransfer, in_blocks
+from ptt.models.indirect import TWICE
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import cpca, kinds
 from ptt.ops.constants import MOST_LOBES
@@ -174,6 +175,7 @@ class _RegionTransfer:
             direct=t0.to(clusters.storage),
             lighting=lighting,
             one=t1.to(clusters.storage),
+            twice=self.transfer.indirect.axes[:TWICE].T.contiguous(),
             two=t2.to(clusters.storage),
             cuts=self._cuts(place, len(cluster)),
             seen=self._in_blocks(self.transfer.seen, 0, place, len(cluster)),
