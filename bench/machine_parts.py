@@ -22,7 +22,7 @@ from bench.frames import balls, bytes_read, dressed, steps
 from bench.table import ROOT, median_seconds, read_bandwidth, setting
 from ptt.cli import kept_model
 from ptt.ops import native
-from ptt.ops.relight import Responses
+from ptt.ops.relight import LitRegion, Responses
 
 NUMBERS = count(1)
 SHARES = {"view": (350, 0.4), "view and BRDF": (150, 0.25), "view, BRDF and light": (80, 0.4)}
@@ -139,9 +139,9 @@ def bounds(
         layer = layers[0]
         coupling = torch.rand(3, 1 + len(model.brdf.u_o), arriving.direct.shape[3])
         h = torch.rand(len(region.slots), 3), torch.rand(len(region.pairs), 3)
-        blocks = region.weights, region.cluster
         glossy = layer.lobes is not None
-        call = partial(native.exitant, arriving, *h, coupling, of_harmonics, *blocks, glossy)
+        lit = LitRegion(arriving, *h, coupling, region.weights, region.cluster, glossy)
+        call = partial(native.exitants, [lit], of_harmonics)
         seconds += median_seconds(call, 40)
         products += 2 * region.weights.numel() * 3 * (layer.sent.values.shape[2] - 1)
     how = f"{products / 1e6:.0f} million products and sums a frame from eigen-points to points, those of eigen-points"

@@ -29,8 +29,8 @@ from ptt.ops.view import points_at
 WIDTH = 128  # points in a block
 FACING = 16  # cells along an edge of the map of normals by which points are ordered
 SPAN = 1e-6  # of the largest singular value: a smaller one adds no direction to a joint factor of the points
-PARTS = ("cluster", "place", "weights", "columns", "direct", "lighting", "one", "twice", "two")
-PARTS = (*PARTS, "cuts", "seen", "meets", "sky")
+TRANSFER = ("columns", "direct", "lighting", "one", "twice", "two")
+PARTS = ("cluster", "place", "weights", *TRANSFER, "cuts", "seen", "meets", "sky")
 STORAGE = {"float32": torch.float32, "float16": torch.float16, "bfloat16": torch.bfloat16}
 
 

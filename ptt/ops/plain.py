@@ -5,7 +5,7 @@ from ptt.ops.gloss import lamp_visibility, reflected_lamps, shine
 from ptt.ops.hemispheres import lamps_between, lamps_seen
 from ptt.ops.latlong import octahedral_means
 from ptt.ops.near import of_frames, of_texels, of_views
-from ptt.ops.relight import exitant, light_eigen, lighting
+from ptt.ops.relight import exitants, light_eigens, lighting
 from ptt.ops.rotation import local_light, quantised, resampled_light, resampled_values, rotated_light
 from ptt.ops.shade import shade
 from ptt.ops.slices import reflected
@@ -15,11 +15,11 @@ from ptt.ops.view import view
 __all__ = [
     "adaptive",
     "cell_sums",
-    "exitant",
+    "exitants",
     "lamp_visibility",
     "lamps_between",
     "lamps_seen",
-    "light_eigen",
+    "light_eigens",
     "lighting",
     "local_light",
     "octahedral_means",

@@ -23,6 +23,7 @@ import torch
 from torch import Tensor
 
 from ptt.ops import haar
+from ptt.ops.compiling import inlined
 from ptt.ops.octahedral import corners, mix, octahedral
 from ptt.ops.sparse import product
 
@@ -84,6 +85,14 @@ def light_eigen(transfer: Tensor, lighting: Tensor, columns: Tensor | None = Non
     return torch.matmul(lighting, transfer.to(lighting.dtype))
 
 
+@inlined
+def light_eigens(
+    transfers: Sequence[Tensor], lightings: Sequence[Tensor], columns: Sequence[Tensor | None]
+) -> list[Tensor]:
+    """`light_eigen` of each."""
+    return [light_eigen(*each) for each in zip(transfers, lightings, columns, strict=True)]
+
+
 class ArrivingLight(NamedTuple):
     """At the eigen-points of a region under one light: U0 (k, c, e, 1 + i), U1 (k, c, q, e, s), U2 (k, c, pairs, e)."""
 
@@ -129,13 +138,31 @@ def exitant(
     h: Tensor,
     pairs: Tensor,
     coupling: Tensor,
-    responses: Responses,
     weights: Tensor,
     cluster: Tensor,
     glossy: bool,
+    responses: Responses,
 ) -> OutgoingLight:
     """Q, and then I if glossy, of points in blocks: `eigen` of the eigen-points, and `expand` of it."""
     return expand(eigen(arriving, h, pairs, coupling, responses, glossy), weights, cluster)
+
+
+class LitRegion(NamedTuple):
+    """A region's points under one light with one material, as `exitant` takes them."""
+
+    arriving: ArrivingLight
+    h: Tensor
+    pairs: Tensor
+    coupling: Tensor
+    weights: Tensor
+    cluster: Tensor
+    glossy: bool
+
+
+@inlined
+def exitants(regions: Sequence[LitRegion], responses: Responses) -> list[OutgoingLight]:
+    """`exitant` of each."""
+    return [exitant(*region, responses) for region in regions]
 
 
 def view_step(outgoing: Tensor, sent: Tensor) -> Tensor:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -19,7 +19,7 @@ from ptt.models.indirect import COARSE, ORDER, blurs, responses
 from ptt.models.transfer_model import TransferModel
 from ptt.ops import harmonics
 from ptt.ops.compiling import in_python, opaque, uncompiled
-from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
+from ptt.ops.relight import ArrivingLight, LitRegion, OutgoingLight, Responses
 from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion, points_at
 from ptt.relight.light_step import BlurredLight, LightStep
 from ptt.relight.operations import operations
@@ -155,18 +155,8 @@ class ClusterSteps(nn.Module):
         blurred = self.light.with_lobes(environment).whole
         light = blurred.light
         coarse = light[..., :COARSE, :COARSE].flatten(1)
-        arriving = [self._arriving(region, light.flatten(1), coarse) for region in self.model.clustered]
+        arriving = arriving_light(self._operations, self.model.clustered, light.flatten(1), coarse)
         return ClusterLight(arriving, blurred)
-
-    def _arriving(self, region: ClusteredTransfer, fine: Tensor, coarse: Tensor) -> ArrivingLight:
-        """What arrives at a region's eigen-points, of lighting (c, l) at two resolutions."""
-        light_eigen = self._operations.light_eigen
-        e = region.eigenvectors
-        direct = light_eigen(region.direct, fine, region.columns).unflatten(2, (e, -1))
-        reduced = light_eigen(region.lighting, coarse)  # shape: (k, c, n)
-        one = light_eigen(region.one, reduced).unflatten(2, (len(region.slots), e, ORDER**2))
-        two = light_eigen(region.two, coarse @ region.twice).unflatten(2, (len(region.pairs), e))
-        return ArrivingLight(direct, one, two)
 
     @opaque
     def materials(self, materials: Sequence[SurfaceMaterial]) -> list[RegionMaterial]:
@@ -228,39 +218,32 @@ class ClusterSteps(nn.Module):
     def contracted(self, light: ClusterLight, materials: Sequence[RegionMaterial]) -> ClusterExitant:
         """The BRDF step, of what `materials` gives."""
         h = self.slots([material.functions for material in materials])
-        layers = []
-        for region, arriving, material, weights in zip(self.model.clustered, light.arriving, materials, h, strict=True):
-            sent = partial(self._sent, region, arriving, *weights)
-            layers.append([layer for tables in material.layers for layer in self._layers(tables, light, sent)])
+        lit = []
+        for region, arriving, material, own in zip(self.model.clustered, light.arriving, materials, h, strict=True):
+            for coupling, glossy in (each for tables in material.layers for each in _couplings(tables)):
+                lit.append(LitRegion(arriving, own[0], own[1], coupling, region.weights, region.cluster, glossy))
+        sent = iter(self._operations.exitants(lit, Responses(self.to_factors, self.to_harmonics)))
+        layers = [
+            [layer for tables in material.layers for layer in self._layers(tables, light, sent)]
+            for material in materials
+        ]
         surfaces = [
             points.blocks(region, material.colour)
             for points, region, material in zip(self.points, self.model.clustered, materials, strict=True)
         ]
         return ClusterExitant(surfaces, layers, self.model.brdf.u_o.flatten(1).T.contiguous())
 
-    def _layers(self, tables: LayerTables, light: ClusterLight, sent: Callable[..., OutgoingLight]) -> list[Layer]:
-        """A layer with its first highlight, and one for the lobes of each further highlight."""
+    def _layers(self, tables: LayerTables, light: ClusterLight, sent: Iterator[OutgoingLight]) -> list[Layer]:
+        """A layer with its first highlight, and one for the lobes of each further highlight.
+
+        sent: what is sent out by each of `_couplings`
+        """
         lobes = [self._lit(own, light) for own in tables.lobes]
-        found = [Layer(sent(tables.coupling, bool(lobes)), lobes[0] if lobes else None, tables.share, True)]
+        found = [Layer(next(sent), lobes[0] if lobes else None, tables.share, True)]
         if lobes[1:]:
-            arrived = sent(torch.zeros_like(tables.coupling[:, :1]), True)
+            arrived = next(sent)
             found += [Layer(arrived, own, tables.share, False) for own in lobes[1:]]
         return found
-
-    def _sent(
-        self,
-        region: ClusteredTransfer,
-        arriving: ArrivingLight,
-        h: Tensor,
-        pairs: Tensor,
-        coupling: Tensor,
-        glossy: bool,
-    ) -> OutgoingLight:
-        """What the points of a region send out, of H (q, c) and its products (pairs, c)."""
-        responses = Responses(self.to_factors, self.to_harmonics)
-        blocks = region.weights, region.cluster
-        sent: OutgoingLight = self._operations.exitant(arriving, h, pairs, coupling, responses, *blocks, glossy)
-        return sent
 
     @staticmethod
     def _lit(lobes: MaterialLobes, light: ClusterLight) -> LitLobes:
@@ -290,6 +273,37 @@ class ClusterSteps(nn.Module):
                 part = self._operations.view([ViewedRegion(points, eyes[r], layer.sent, layer.lobes)], outgoing)
                 parts[r] = parts[r] + _some(part, layer.share)
         return torch.cat(parts)
+
+
+def arriving_light(
+    operations: Any, regions: Sequence[ClusteredTransfer], fine: Tensor, coarse: Tensor
+) -> list[ArrivingLight]:
+    """What arrives at the eigen-points of each region, of lighting (c, l) at two resolutions."""
+    n = len(regions)
+    anywhere = [None] * 2 * n
+    direct = operations.light_eigens(
+        [region.direct for region in regions], [fine] * n, [region.columns for region in regions]
+    )
+    axes = [region.lighting for region in regions] + [region.twice[None] for region in regions]
+    lighting = operations.light_eigens(axes, [coarse] * 2 * n, anywhere)
+    lighting[n:] = [own[0] for own in lighting[n:]]
+    bounced = operations.light_eigens(
+        [region.one for region in regions] + [region.two for region in regions], lighting, anywhere
+    )
+    return [
+        ArrivingLight(
+            u0.unflatten(2, (region.eigenvectors, -1)),
+            u1.unflatten(2, (len(region.slots), region.eigenvectors, region.harmonics)),
+            u2.unflatten(2, (len(region.pairs), region.eigenvectors)),
+        )
+        for region, u0, u1, u2 in zip(regions, direct, bounced[:n], bounced[n:], strict=True)
+    ]
+
+
+def _couplings(tables: LayerTables) -> list[tuple[Tensor, bool]]:
+    """M of a layer, and whether harmonics are reflected; of its further highlights there are those alone."""
+    own = [(tables.coupling, bool(tables.lobes))]
+    return [*own, (torch.zeros_like(tables.coupling[:, :1]), True)] if tables.lobes[1:] else own
 
 
 def _some(radiance: Tensor, share: Tensor | None) -> Tensor:

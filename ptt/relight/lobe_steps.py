@@ -32,10 +32,10 @@ from ptt.ops.cells import Gloss, in_parts
 from ptt.ops.compiling import in_python, opaque, uncompiled
 from ptt.ops.constants import RECORD, ROW, SENT, TILTS, TINY
 from ptt.ops.gloss import GlossLight
-from ptt.ops.relight import expand
+from ptt.ops.relight import ArrivingLight, expand
 from ptt.ops.sphere import Cube
 from ptt.ops.view import SurfaceBlocks
-from ptt.relight.cluster_steps import RegionPoints, slot_weights, varying_functions
+from ptt.relight.cluster_steps import RegionPoints, arriving_light, slot_weights, varying_functions
 from ptt.relight.glosses import WIDTHS, Glosses, light_for
 from ptt.relight.light_step import LightStep, SplitLight
 from ptt.relight.operations import operations
@@ -47,19 +47,11 @@ sees of surfaces reflects as one lobe: in a trial with gold of roughness 0.5 on 
 erred by 16.1 and 7.6 %, one by 16.2 and 7.3, in half the time; at 0.3, 19.9 and 25.9 on the engine."""
 
 
-class ArrivingIrradiance(NamedTuple):
-    """At a region's eigen-points, of light without lamps (k, c, e), by slots (k, c, q, e), and by pairs of them."""
-
-    direct: Tensor
-    one: Tensor
-    two: Tensor
-
-
 class LobeLight(NamedTuple):
-    """Under one light: what arrives in every region, how much of its lamps points in blocks see (m, n), and all of them
-    together (s, m), what arrives of lamps (n, c), and the light."""
+    """Under one light: what arrives in every region but from lamps (of one factor and one harmonic), how much of its
+    lamps points in blocks see (m, n), and all of them together (s, m), what arrives of lamps (n, c), and the light."""
 
-    arriving: list[ArrivingIrradiance]
+    arriving: list[ArrivingLight]
     through: list[Tensor]
     together: Tensor
     of_lamps: list[Tensor]
@@ -156,7 +148,7 @@ class LobeSteps(nn.Module):
 
         even (c, l): the lighting of 1 from everywhere
         """
-        arriving = self._operations.light_eigen(region.direct, even, region.columns)
+        (arriving,) = self._operations.light_eigens([region.direct], [even], [region.columns])
         return (self._at_points(region, arriving[..., None])[:, :1, 0] / math.pi).clamp(0, 1 - OPEN)
 
     @staticmethod
@@ -171,22 +163,13 @@ class LobeSteps(nn.Module):
         light = split.whole.light
         fine = split.rest.light.flatten(1)
         coarse = light[..., :COARSE, :COARSE].flatten(1)
-        arriving = [self._arriving(region, fine, coarse) for region in self.model.clustered]
+        arriving = arriving_light(self._operations, self.model.clustered, fine, coarse)
         cells, shares = _cells_of(split.lamps, self.model.grid)
         through = [self._operations.lamp_visibility(region.sky, cells, shares) for region in self.model.clustered]
         of_lamps = [
             split.lamps.irradiance(points.frame[2], seen) for points, seen in zip(self.points, through, strict=True)
         ]
         return LobeLight(arriving, through, torch.cat(through, 1).T.contiguous(), of_lamps, split)
-
-    def _arriving(self, region: ClusteredTransfer, fine: Tensor, coarse: Tensor) -> ArrivingIrradiance:
-        """What arrives at a region's eigen-points, of lighting (c, l) at two resolutions."""
-        light_eigen = self._operations.light_eigen
-        e = region.eigenvectors
-        direct = light_eigen(region.direct, fine, region.columns)
-        one = light_eigen(region.one, light_eigen(region.lighting, coarse)).unflatten(2, (len(region.slots), e))
-        two = light_eigen(region.two, coarse @ region.twice).unflatten(2, (len(region.pairs), e))
-        return ArrivingIrradiance(direct, one, two)
 
     @opaque
     def materials(self, materials: Sequence[SurfaceMaterial]) -> list[LobeMaterial]:
@@ -271,7 +254,8 @@ class LobeSteps(nn.Module):
         h (q, c), pairs (pairs, c): H of the slots that light them, and its products
         """
         direct, one, two = light.arriving[region]
-        once = math.sqrt(math.pi) * (h.T[:, None] @ one)[:, :, 0]
+        direct = direct[..., 0]
+        once = math.sqrt(math.pi) * (h.T[:, None] @ one[..., 0])[:, :, 0]
         both = once + math.sqrt(math.pi) * (pairs.T[:, None] @ two)[:, :, 0]
         before = once if self.model.bounces == 2 else torch.zeros_like(once)
         eigen = torch.stack((direct + both, direct + before, direct, both, before), 3)

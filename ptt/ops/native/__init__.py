@@ -13,7 +13,7 @@ from ptt.ops.native.kernels import available, prepare
 from ptt.ops.native.maps import octahedral_means
 from ptt.ops.native.near import of_frames, of_texels, of_views
 from ptt.ops.native.operators import refusals
-from ptt.ops.native.relight import exitant, light_eigen, lighting
+from ptt.ops.native.relight import exitants, light_eigens, lighting
 from ptt.ops.native.rotation import (
     local_light,
     resampled_light,
@@ -29,11 +29,11 @@ __all__ = [
     "adaptive",
     "available",
     "cell_sums",
-    "exitant",
+    "exitants",
     "lamp_visibility",
     "lamps_between",
     "lamps_seen",
-    "light_eigen",
+    "light_eigens",
     "lighting",
     "local_light",
     "octahedral_means",

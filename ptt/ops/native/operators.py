@@ -94,11 +94,13 @@ def operator(
 def _contiguous(plain: Callable[..., Any]) -> Callable[..., Any]:
     """The plain function with contiguous results, as kernels and fakes have them."""
 
-    def function(*arguments: Any) -> Any:
-        result = plain(*arguments)
-        return tuple(t.contiguous() for t in result) if isinstance(result, tuple) else result.contiguous()
+    def contiguous(result: Any) -> Any:
+        if isinstance(result, Tensor):
+            return result.contiguous()
+        parts = map(contiguous, result)
+        return list(parts) if isinstance(result, list) else tuple(parts)
 
-    return function
+    return lambda *arguments: contiguous(plain(*arguments))
 
 
 def refusal(conditions: Conditions, kernel: str) -> str | None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -18,7 +18,7 @@ from ptt.ops.constants import CHANNELS, GROUP, HARMONICS, WIDTH
 from ptt.ops.native.arguments import STORED, contiguous, of_type, side, square
 from ptt.ops.native.kernels import run
 from ptt.ops.native.operators import Conditions, operator, refusal
-from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
+from ptt.ops.relight import ArrivingLight, LitRegion, OutgoingLight, Responses
 
 TRANSFER = (torch.float32, torch.float16, torch.bfloat16)
 """The types in which transfer is stored."""
@@ -73,175 +73,192 @@ _lighting = operator(
 
 
 @inlined
-def light_eigen(transfer: Tensor, lighting: Tensor, columns: Tensor | None = None) -> Tensor:
-    """U (k, c, x), as `ptt.ops.relight.light_eigen`; the kernel sums in float32."""
-    result: Tensor = _light_eigen(transfer, lighting, columns)
+def light_eigens(
+    transfers: Sequence[Tensor], lightings: Sequence[Tensor], columns: Sequence[Tensor | None]
+) -> list[Tensor]:
+    """U (k, c, x) of each, as `ptt.ops.relight.light_eigens`; the kernel sums in float32."""
+    result: list[Tensor] = _light_eigens(list(transfers), list(lightings), list(columns))
     return result
 
 
-def _light_eigen_conditions(transfer: Tensor, lighting: Tensor, columns: Tensor | None) -> Conditions:
-    yield transfer.dtype in TRANSFER, "transfer must be float32, float16 or bfloat16"
-    yield contiguous(transfer), "transfer must be contiguous"
-    yield of_type(torch.float32, lighting), "lighting must be float32"
-    k, rows, _ = transfer.shape
-    if columns is None:
-        yield lighting.shape in ((3, rows), (k, 3, rows)), "lighting must be (3, l) or (k, 3, l)"
-    else:
-        yield of_type(torch.int64, columns) and columns.shape == (k, rows), "columns must be (k, l), int64"
-        yield lighting.ndim == 2 and len(lighting) == 3, "lighting must be (3, all l)"
+def _light_eigen_conditions(
+    transfers: Sequence[Tensor], lightings: Sequence[Tensor], columns: Sequence[Tensor | None]
+) -> Conditions:
+    for transfer, lighting, chosen in zip(transfers, lightings, columns, strict=True):
+        yield transfer.dtype in TRANSFER, "transfer must be float32, float16 or bfloat16"
+        yield contiguous(transfer), "transfer must be contiguous"
+        yield of_type(torch.float32, lighting), "lighting must be float32"
+        k, rows, _ = transfer.shape
+        if chosen is None:
+            yield lighting.shape in ((3, rows), (k, 3, rows)), "lighting must be (3, l) or (k, 3, l)"
+        else:
+            yield of_type(torch.int64, chosen) and chosen.shape == (k, rows), "columns must be (k, l), int64"
+            yield lighting.ndim == 2 and len(lighting) == 3, "lighting must be (3, all l)"
 
 
-def _light_eigen_kernel(transfer: Tensor, lighting: Tensor, columns: Tensor | None) -> Tensor:
-    k, rows, x = transfer.shape
-    out = lighting.new_empty(k, 3, x)
-    run(
-        "light_eigen",
-        lighting=lighting.contiguous(),
-        columns=None if columns is None else columns.contiguous(),
-        transfer=transfer,
-        out=out,
-        cluster=0 if lighting.ndim == 2 else 3 * rows,
-        channel=lighting.shape[-1],
-        rows=rows,
-        width=x,
-        clusters=k,
-        type=STORED[transfer.dtype],
-    )
-    return out
+def _light_eigen_kernel(
+    transfers: Sequence[Tensor], lightings: Sequence[Tensor], columns: Sequence[Tensor | None]
+) -> list[Tensor]:
+    found = _light_eigen_fake(transfers, lightings, columns)
+    for transfer, lighting, chosen, out in zip(transfers, lightings, columns, found, strict=True):
+        k, rows, x = transfer.shape
+        run(
+            "light_eigen",
+            lighting=lighting.contiguous(),
+            columns=None if chosen is None else chosen.contiguous(),
+            transfer=transfer,
+            out=out,
+            cluster=0 if lighting.ndim == 2 else 3 * rows,
+            channel=lighting.shape[-1],
+            rows=rows,
+            width=x,
+            clusters=k,
+            type=STORED[transfer.dtype],
+        )
+    return found
 
 
-def _light_eigen_fake(transfer: Tensor, lighting: Tensor, columns: Tensor | None) -> Tensor:
-    return lighting.new_empty(len(transfer), lighting.shape[-2], transfer.shape[2])
+def _light_eigen_fake(
+    transfers: Sequence[Tensor], lightings: Sequence[Tensor], columns: Sequence[Tensor | None]
+) -> list[Tensor]:
+    return [
+        lighting.new_empty(len(transfer), lighting.shape[-2], transfer.shape[2])
+        for transfer, lighting in zip(transfers, lightings, strict=True)
+    ]
 
 
-_light_eigen = operator(
-    "light_eigen(Tensor transfer, Tensor lighting, Tensor? columns) -> Tensor",
-    plain=lambda *arguments: relight.light_eigen(*arguments),
+_light_eigens = operator(
+    "light_eigens(Tensor[] transfers, Tensor[] lightings, Tensor?[] columns) -> Tensor[]",
+    plain=lambda *arguments: relight.light_eigens(*arguments),
     kernel=_light_eigen_kernel,
     conditions=_light_eigen_conditions,
     fake=_light_eigen_fake,
+    calls="light_eigen",
 )
 
 # What points send out
 
 
 @inlined
-def exitant(
-    arriving: ArrivingLight,
-    h: Tensor,
-    pairs: Tensor,
-    coupling: Tensor,
-    responses: Responses,
-    weights: Tensor,
-    cluster: Tensor,
-    glossy: bool,
-) -> OutgoingLight:
-    """Values as `ptt.ops.relight.exitant`; those of the kernel are int16, in smaller blocks, with a row more.
+def exitants(regions: Sequence[LitRegion], responses: Responses) -> list[OutgoingLight]:
+    """Values of each as `ptt.ops.relight.exitants`; those of the kernel are int16, in smaller blocks, with a row more.
 
     It is fastest where blocks of a cluster follow each other.
     """
-    return OutgoingLight(*_exitant(*arriving, h, pairs, coupling, *responses, weights, cluster, glossy))
+    columns: tuple[list[Any], ...] = tuple([] for _ in range(len(COLUMNS)))
+    for (direct, one, two), *others in regions:
+        for column, value in zip(columns, (direct, one, two, *others), strict=True):
+            column.append(value)
+    values, units = _exitants(*columns, *responses)
+    return [OutgoingLight(*each) for each in zip(values, units, strict=True)]
 
 
-class _Exitant(NamedTuple):
-    """What the schema says."""
-
-    direct: Tensor
-    one: Tensor
-    two: Tensor
-    h: Tensor
-    pairs: Tensor
-    coupling: Tensor
-    to_factors: Tensor
-    to_harmonics: Tensor
-    weights: Tensor
-    cluster: Tensor
-    glossy: bool
-
-    @property
-    def row(self) -> int:
-        """The length of what a point sends out: 1 + o, and the harmonics where they are asked for and there are any."""
-        lit = self.glossy and (self.one.shape[2] > 0 or self.two.shape[2] > 0)
-        return self.coupling.shape[1] + self.to_harmonics.shape[0] * lit
+COLUMNS = (*ArrivingLight._fields, *LitRegion._fields[1:])
 
 
-def _exitant_plain(*arguments: Any) -> OutgoingLight:
-    g = _Exitant(*arguments)
-    responses = Responses(g.to_factors, g.to_harmonics)
-    arriving = ArrivingLight(g.direct, g.one, g.two)
-    return relight.exitant(arriving, g.h, g.pairs, g.coupling, responses, g.weights, g.cluster, g.glossy)
+def _lit(*columns: Sequence[Any]) -> list[LitRegion]:
+    """The regions whose members are given column by column, in the order of the schema."""
+    return [LitRegion(ArrivingLight(*row[:3]), *row[3:]) for row in zip(*columns, strict=True)]
+
+
+def _row(region: LitRegion, responses: Responses) -> int:
+    """The length of what a point sends out: 1 + o, and the harmonics where they are asked for and there are any."""
+    lit = region.glossy and (region.arriving.one.shape[2] > 0 or region.arriving.two.shape[2] > 0)
+    return region.coupling.shape[1] + responses.to_harmonics.shape[0] * lit
+
+
+def _exitant_plain(*arguments: Any) -> tuple[list[Tensor], list[Tensor]]:
+    *columns, to_factors, to_harmonics = arguments
+    sent = relight.exitants(_lit(*columns), Responses(to_factors, to_harmonics))
+    return [values for values, _ in sent], [unit for _, unit in sent]
 
 
 def _exitant_conditions(*arguments: Any) -> Conditions:
-    g = _Exitant(*arguments)
-    k, c, e, i = g.direct.shape
-    q = g.one.shape[2]
-    p = g.two.shape[2]
-    yield of_type(torch.float32, *g[:9]), "everything must be float32"
-    yield contiguous(g.weights), "weights must be contiguous"
-    yield c == 3, "there must be three channels"
-    yield g.h.shape == (q, 3), "h must be (q, 3)"
-    yield g.pairs.shape == (p, 3), "pairs must be (pairs, 3)"
-    yield g.one.shape == (k, 3, q, e, HARMONICS), f"U1 must be (k, 3, q, e, {HARMONICS})"
-    yield g.two.shape == (k, 3, p, e), "U2 must be (k, 3, p, e)"
-    yield g.coupling.ndim == 3 and g.coupling.shape[::2] == (3, i), "coupling must be (3, 1 + o, 1 + i)"
-    yield g.to_factors.shape == (HARMONICS, i), f"to_factors must be ({HARMONICS}, 1 + i)"
-    yield g.to_harmonics.shape == (HARMONICS, HARMONICS), f"to_harmonics must be ({HARMONICS}, {HARMONICS})"
-    yield g.weights.ndim == 3 and g.weights.shape[1] == e, "weights must be (b, e, w)"
-    yield g.weights.shape[2] % WIDTH == 0, f"blocks must hold a multiple of {WIDTH} points"
-    yield of_type(torch.int64, g.cluster) and g.cluster.shape == g.weights.shape[:1], "cluster must be (b,), int64"
+    *columns, to_factors, to_harmonics = arguments
+    yield of_type(torch.float32, to_factors, to_harmonics), "responses must be float32"
+    yield to_harmonics.shape == (HARMONICS, HARMONICS), f"to_harmonics must be ({HARMONICS}, {HARMONICS})"
+    for (direct, one, two), h, pairs, coupling, weights, cluster, _ in _lit(*columns):
+        k, c, e, i = direct.shape
+        q = one.shape[2]
+        p = two.shape[2]
+        yield of_type(torch.float32, direct, one, two, h, pairs, coupling, weights), "everything must be float32"
+        yield contiguous(weights), "weights must be contiguous"
+        yield c == 3, "there must be three channels"
+        yield h.shape == (q, 3), "h must be (q, 3)"
+        yield pairs.shape == (p, 3), "pairs must be (pairs, 3)"
+        yield one.shape == (k, 3, q, e, HARMONICS), f"U1 must be (k, 3, q, e, {HARMONICS})"
+        yield two.shape == (k, 3, p, e), "U2 must be (k, 3, p, e)"
+        yield coupling.ndim == 3 and coupling.shape[::2] == (3, i), "coupling must be (3, 1 + o, 1 + i)"
+        yield to_factors.shape == (HARMONICS, i), f"to_factors must be ({HARMONICS}, 1 + i)"
+        yield weights.ndim == 3 and weights.shape[1] == e, "weights must be (b, e, w)"
+        yield weights.shape[2] % WIDTH == 0, f"blocks must hold a multiple of {WIDTH} points"
+        yield of_type(torch.int64, cluster) and cluster.shape == weights.shape[:1], "cluster must be (b,), int64"
 
 
-def _exitant_kernel(*arguments: Any) -> tuple[Tensor, Tensor]:
-    g = _Exitant(*arguments)
-    values, unit = _in_groups(g)
-    _, _, e, i = g.direct.shape
-    b, _, width = g.weights.shape
-    run(
-        "exitant",
-        direct=g.direct.contiguous(),
-        one=g.one.contiguous(),
-        two=g.two.contiguous(),
-        h=g.h.contiguous(),
-        pairs=g.pairs.contiguous(),
-        coupling=g.coupling.contiguous(),
-        to_factors=g.to_factors.contiguous(),
-        to_harmonics=g.to_harmonics.contiguous(),
-        weights=g.weights,
-        cluster=g.cluster.contiguous(),
-        out=values,
-        unit=unit,
-        blocks=b,
-        eigen=e,
-        factors=i,
-        slots=g.one.shape[2],
-        again=g.two.shape[2],
-        outgoing=g.coupling.shape[1],
-        x=g.row,
-        width=width,
-    )
-    return values, unit
+def _exitant_kernel(*arguments: Any) -> tuple[list[Tensor], list[Tensor]]:
+    *columns, to_factors, to_harmonics = arguments
+    to_factors = to_factors.contiguous()
+    to_harmonics = to_harmonics.contiguous()
+    found = []
+    for region in _lit(*columns):
+        (direct, one, two), h, pairs, coupling, weights, cluster, _ = region
+        row = _row(region, Responses(to_factors, to_harmonics))
+        values, unit = _in_groups(weights, row)
+        run(
+            "exitant",
+            direct=direct.contiguous(),
+            one=one.contiguous(),
+            two=two.contiguous(),
+            h=h.contiguous(),
+            pairs=pairs.contiguous(),
+            coupling=coupling.contiguous(),
+            to_factors=to_factors,
+            to_harmonics=to_harmonics,
+            weights=weights,
+            cluster=cluster.contiguous(),
+            out=values,
+            unit=unit,
+            blocks=weights.shape[0],
+            eigen=weights.shape[1],
+            factors=direct.shape[3],
+            slots=one.shape[2],
+            again=two.shape[2],
+            outgoing=coupling.shape[1],
+            x=row,
+            width=weights.shape[2],
+        )
+        found.append((values, unit))
+    return [values for values, _ in found], [unit for _, unit in found]
 
 
-def _in_groups(g: _Exitant) -> tuple[Tensor, Tensor]:
-    groups = g.weights.shape[0] * g.weights.shape[2] // GROUP
-    values = g.direct.new_empty(groups, 3, g.row + 1, GROUP, dtype=torch.int16)
-    return values, g.direct.new_empty(values.shape[:3])
+def _in_groups(weights: Tensor, row: int) -> tuple[Tensor, Tensor]:
+    groups = weights.shape[0] * weights.shape[2] // GROUP
+    values = weights.new_empty(groups, 3, row + 1, GROUP, dtype=torch.int16)
+    return values, weights.new_empty(values.shape[:3])
 
 
-def _exitant_fake(*arguments: Any) -> tuple[Tensor, Tensor]:
-    g = _Exitant(*arguments)
-    if g.direct.device.type == "cpu" and refusal(_exitant_conditions(*arguments), "exitant") is None:
-        return _in_groups(g)
-    rows = g.weights.shape[0], g.direct.shape[1], g.row
-    return g.direct.new_empty(*rows, g.weights.shape[2]), g.direct.new_empty(rows)
+def _exitant_fake(*arguments: Any) -> tuple[list[Tensor], list[Tensor]]:
+    *columns, to_factors, to_harmonics = arguments
+    responses = Responses(to_factors, to_harmonics)
+    by_kernel = to_factors.device.type == "cpu" and refusal(_exitant_conditions(*arguments), "exitant") is None
+    found = []
+    for region in _lit(*columns):
+        row = _row(region, responses)
+        if by_kernel:
+            found.append(_in_groups(region.weights, row))
+        else:
+            rows = len(region.weights), region.arriving.direct.shape[1], row
+            found.append((region.weights.new_empty(*rows, region.weights.shape[2]), region.weights.new_empty(rows)))
+    return [values for values, _ in found], [unit for _, unit in found]
 
 
-_exitant = operator(
-    "exitant(Tensor direct, Tensor one, Tensor two, Tensor h, Tensor pairs, Tensor coupling, Tensor to_factors, "
-    "Tensor to_harmonics, Tensor weights, Tensor cluster, bool glossy) -> (Tensor, Tensor)",
+_exitants = operator(
+    "exitants(Tensor[] direct, Tensor[] one, Tensor[] two, Tensor[] h, Tensor[] pairs, Tensor[] coupling, "
+    "Tensor[] weights, Tensor[] cluster, bool[] glossy, Tensor to_factors, Tensor to_harmonics) "
+    "-> (Tensor[], Tensor[])",
     plain=_exitant_plain,
     kernel=_exitant_kernel,
     conditions=_exitant_conditions,
     fake=_exitant_fake,
+    calls="exitant",
 )

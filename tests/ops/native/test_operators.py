@@ -26,7 +26,7 @@ from ptt.ops.hemispheres import Between, words_of
 from ptt.ops.native import building, kernels, operators
 from ptt.ops.near import Near
 from ptt.ops.octahedral import HemiOctahedral, Octahedral
-from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
+from ptt.ops.relight import ArrivingLight, LitRegion, OutgoingLight, Responses
 from ptt.ops.shade import Functions, RegionCoats, ShadedPoints
 from ptt.ops.sphere import Cube
 from ptt.ops.table import stored
@@ -55,16 +55,17 @@ def octahedral_means() -> None:
     native.octahedral_means(uniform(4, 8, 3), 4, 3, 0.5)
 
 
-def light_eigen() -> None:
-    native.light_eigen(uniform(2, 5, 20).half(), uniform(3, 5))
-    native.light_eigen(uniform(2, 5, 20), uniform(3, 9), torch.randint(0, 9, (2, 5)))
+def light_eigens() -> None:
+    chosen = torch.randint(0, 9, (2, 5))
+    native.light_eigens([uniform(2, 5, 20).half(), uniform(2, 5, 20)], [uniform(3, 5), uniform(3, 9)], [None, chosen])
 
 
-def exitant() -> None:
+def exitants() -> None:
     arriving = ArrivingLight(uniform(2, 3, 4, 5), uniform(2, 3, 2, 4, 16), uniform(2, 3, 1, 4))
-    materials = uniform(2, 3), uniform(1, 3), uniform(3, 6, 5), Responses(uniform(16, 5), uniform(16, 16))
-    for glossy in (False, True):
-        native.exitant(arriving, *materials, uniform(3, 4, 64), torch.tensor([0, 1, 1]), glossy)
+    material = uniform(2, 3), uniform(1, 3), uniform(3, 6, 5)
+    blocks = uniform(3, 4, 64), torch.tensor([0, 1, 1])
+    lit = [LitRegion(arriving, *material, *blocks, glossy) for glossy in (False, True)]
+    native.exitants(lit, Responses(uniform(16, 5), uniform(16, 16)))
 
 
 def view() -> None:
@@ -216,8 +217,8 @@ def adaptive() -> None:
 USES = (
     octahedral_means,
     lighting,
-    light_eigen,
-    exitant,
+    light_eigens,
+    exitants,
     view,
     shine,
     rotate,
@@ -262,6 +263,11 @@ def test_every_operator_is_checked() -> None:
     assert used == set(operators.DEFINED)
 
 
+def flat(results: Any) -> list[Tensor]:
+    """The tensors of a result, of several, or of lists of them."""
+    return [results] if isinstance(results, Tensor) else [item for part in results for item in flat(part)]
+
+
 def tensors(arguments: Iterable[Any]) -> list[Tensor]:
     flat = [item for a in arguments for item in (a if isinstance(a, list) else [a])]
     return [item for item in flat if isinstance(item, Tensor)]
@@ -281,8 +287,7 @@ def with_leaves(arguments: Iterable[Any]) -> list[Any]:
 
 def gradients(function: Callable[..., Any], arguments: list[Any]) -> list[Tensor | None]:
     """Gradients of a weighted sum of all results, with respect to every leaf."""
-    results = function(*arguments)
-    results = results if isinstance(results, tuple) else (results,)
+    results = flat(function(*arguments))
     total = torch.zeros(())
     for k, result in enumerate(results):
         if result.requires_grad:
@@ -312,8 +317,7 @@ def test_operators_are_one_node_of_a_graph(use: Callable[[], None]) -> None:
         torch._dynamo.reset()  # each operator is another function to torch.compile, which takes eight
         got = torch.compile(operator, fullgraph=True, backend="aot_eager")(*arguments)  # type: ignore[no-untyped-call]
         wanted = operator(*arguments)
-        pairs = zip(got, wanted, strict=True) if isinstance(wanted, tuple) else [(got, wanted)]
-        assert all(torch.equal(a, b) for a, b in pairs)
+        assert all(torch.equal(*pair) for pair in zip(flat(got), flat(wanted), strict=True))
 
 
 def test_a_user_can_ask_why_a_kernel_was_not_used() -> None:

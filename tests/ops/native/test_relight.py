@@ -14,7 +14,7 @@ from ptt.ops import native, relight
 from ptt.ops import view as plain
 from ptt.ops.directions import turn
 from ptt.ops.native.relight import TRANSFER
-from ptt.ops.relight import ArrivingLight, OutgoingLight, Responses
+from ptt.ops.relight import ArrivingLight, LitRegion, OutgoingLight, Responses
 from ptt.ops.sphere import Cube
 from ptt.ops.view import LitLobes, SurfaceBlocks, ViewedRegion, light_about, points_at
 
@@ -169,7 +169,7 @@ def test_without_gradients_a_parameter_goes_by_the_kernel(built: None, calls: li
 @pytest.fixture
 def alone(built: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """The plain functions are not there for those of `native` to call."""
-    for name in ("lighting", "light_eigen", "exitant"):
+    for name in ("lighting", "light_eigens", "exitants"):
         monkeypatch.setattr(relight, name, None)
 
 
@@ -203,9 +203,9 @@ def test_light_eigen_agrees(alone: None, stored: torch.dtype, k: int, rows: int,
     exact = transfer.double()
     for lighting in (torch.randn(k, 3, rows, generator=g), torch.randn(3, rows, generator=g)):
         expected = lighting.double() @ exact
-        close(native.light_eigen(transfer, lighting), expected.expand(k, 3, x))
+        close(native.light_eigens([transfer], [lighting], [None])[0], expected.expand(k, 3, x))
     lighting = torch.randn(3, 50, generator=g)
-    close(native.light_eigen(transfer, lighting, columns), PLAIN[1](exact, lighting.double(), columns))
+    close(native.light_eigens([transfer], [lighting], [columns])[0], PLAIN[1](exact, lighting.double(), columns))
 
 
 def arriving(
@@ -242,8 +242,7 @@ def test_exitant_agrees(alone: None, sizes: tuple[int, int, int, int, int], b: i
     g = torch.Generator().manual_seed(b)
     weights = torch.randn(b, e, 128, generator=g)
     cluster = torch.randint(0, k, (b,), generator=g)  # in no order
-    arguments: Any = (*x, weights, cluster, glossy)
-    sent = native.exitant(*arguments)
+    (sent,) = native.exitants([LitRegion(*x[:4], weights, cluster, glossy)], x[4])
     expected = relight.expand(eigen_of(Tensor.double, x, glossy), weights.double(), cluster).values
     assert sent.values.dtype == torch.int16 and sent.values.shape[2] == expected.shape[2] + 1
     values = sent._replace(unit=sent.unit.double()).whole().values
@@ -258,10 +257,10 @@ def test_exitant_agrees(alone: None, sizes: tuple[int, int, int, int, int], b: i
 
 
 def test_exitant_of_no_light_is_nothing(alone: None) -> None:
-    dark, *others = arriving(1, 4, 5, 2, 1)
+    dark, h, pairs, coupling, responses = arriving(1, 4, 5, 2, 1)
     nothing = ArrivingLight(*map(torch.zeros_like, dark))
-    arguments: Any = (nothing, *others, torch.ones(1, 4, 128), torch.zeros(1, dtype=torch.int64), True)
-    sent = native.exitant(*arguments)
+    blocks = torch.ones(1, 4, 128), torch.zeros(1, dtype=torch.int64)
+    (sent,) = native.exitants([LitRegion(nothing, h, pairs, coupling, *blocks, True)], responses)
     assert sent.values.count_nonzero() == 0 and sent.unit.isfinite().all()
 
 
@@ -273,9 +272,9 @@ def test_gradients_go_the_plain_way() -> None:
         return x
 
     x = arriving(2, 3, 5, 2, 1)
-    arguments: Any = (x[0], leaf(x[1]), *x[2:], torch.ones(2, 3, 128), torch.tensor([0, 1]), True)
-    spread = native.exitant(*arguments)
-    lit = native.light_eigen(torch.ones(1, 3, 2), leaf(torch.ones(3, 3)))
+    region = LitRegion(x[0], leaf(x[1]), *x[2:4], torch.ones(2, 3, 128), torch.tensor([0, 1]), True)
+    (spread,) = native.exitants([region], x[4])
+    lit = native.light_eigens([torch.ones(1, 3, 2)], [leaf(torch.ones(3, 3))], [None])[0]
     light = native.lighting(leaf(torch.ones(64, 4)), torch.eye(3), *samples(Cube(4)), Cube(4).shape)
     (spread.values.sum() + lit.sum() + light.sum()).backward()
     assert all(t.grad is not None and t.grad.isfinite().all() for t in leaves)
