@@ -30,7 +30,7 @@ from ptt.relight.relighter import Relighter
 from ptt.relight.shape_tables import ShapeTables
 from ptt.relight.sorted_points import LayeredPoints, SortedPoints, by_layers, whole
 from ptt.relight.surface_points import SurfacePoints
-from ptt.relight.viewpoint import View, glow_of
+from ptt.relight.viewpoint import View, from_anywhere, glow_of
 from ptt.scene.scene import Scene
 
 SIDE, NORMALS, TERMS = 128, 24, 128
@@ -176,7 +176,8 @@ class EnvMapRelighter(Relighter):
         device = self.cosine.device
         parts = [part for part in self.vertices if isinstance(part, SortedPoints)]
         if isinstance(view, GBuffer):
-            parts = self._pixels((view, watched(self)), lambda: [part.to(device) for part in self._sorted(view)])
+            inputs = from_anywhere(view), watched(self)
+            parts = self._pixels(inputs, lambda: [part.to(device) for part in self._sorted(view)])
         varying = [None if isinstance(m, Material) else m for m in materials.values()]
         if not any(varying):
             return [[whole(part, m)] for part, m in zip(parts, materials.values(), strict=True)]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from ptt.imaging.atlas import Atlas
+from ptt.materials.material import Material
 from ptt.materials.varying import SurfaceMaterial
 from ptt.ops.near import Near
 from ptt.ops.shade import ShadedPoints
@@ -71,19 +73,24 @@ def located(
 
 
 def coated(scene: Scene, surface: SurfacePoints, materials: Sequence[SurfaceMaterial]) -> CoatedPoints:
-    """What points are coated with, by the materials of all regions."""
+    """What points are coated with, by the materials of all regions.
+
+    Of a material that is the same everywhere that is all of each of its layers, in one group.
+    """
     here = SurfacePoints(*(x.cpu() for x in surface))
-    region, colour = here.region, here.colour
-    most = max(len(group) for material in materials for group in material.groups)
-    shares = torch.zeros(most, len(region), 3, dtype=torch.float32)
-    groups = torch.zeros_like(region)
-    colours = colour.clone()
-    first = 0
+    region = here.region.long()
+    first = torch.tensor([0, *accumulate(len(material.groups) for material in materials)], dtype=torch.int32)
+    layers = torch.tensor([max(map(len, material.groups)) for material in materials])
+    groups = first[region]
+    own = torch.arange(int(layers.max()))[:, None] < layers[region]
+    shares = own[..., None].expand(-1, -1, 3).float()
+    colours = here.colour.clone()
     for number, material in enumerate(materials):
+        if isinstance(material, Material):
+            continue
         rows = (region == number).nonzero()[:, 0]
         found = here.layers_at(scene, material, rows)
-        groups[rows] = first + found.group.int()
+        groups[rows] += found.group.int()
         shares[: len(found.shares), rows] = found.shares
         colours[rows] = found.colour
-        first += len(material.groups)
     return CoatedPoints(*(x.to(surface.positions.device) for x in (groups, shares, colours)))

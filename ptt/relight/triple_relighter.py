@@ -47,7 +47,7 @@ from ptt.relight.triple_tables import (
     triangles,
     turned,
 )
-from ptt.relight.viewpoint import View, eye_of, glow_of
+from ptt.relight.viewpoint import View, eye_of, from_anywhere, glow_of
 from ptt.scene.scene import Scene
 
 Storage = Literal["float", "16-bit", "8-bit"]
@@ -304,7 +304,8 @@ class TripleProductRelighter(Relighter):
 
         own = watched(self)
         if isinstance(view, GBuffer):
-            pixels: PointLookups = self._pixels((view, brushed, own), lambda: of(SurfacePoints.of_pixels(view)))
+            inputs = from_anywhere(view), brushed, own
+            pixels: PointLookups = self._pixels(inputs, lambda: of(SurfacePoints.of_pixels(view)))
             return pixels
         vertices: PointLookups = self._vertices((brushed, own), lambda: of(SurfacePoints.of_vertices(self.scene)))
         return vertices

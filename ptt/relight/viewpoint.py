@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 from torch.nn.functional import normalize
@@ -13,11 +15,17 @@ from ptt.scene.camera import Camera
 from ptt.scene.scene import Scene
 
 View = Camera | Tensor | GBuffer
+ANYWHERE = Camera((0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
 
 
 def glow_of(scene: Scene, view: View) -> Tensor | None:
     """Radiance that the vertices (v, 3), or the pixels (p, 3) of a GBuffer, send out by themselves; None of none."""
     return view.glow if isinstance(view, GBuffer) else scene.vertex_glow
+
+
+def from_anywhere(view: GBuffer) -> GBuffer:
+    """The same pixels seen by one camera: an input of what does not depend on the eye, which may move alone."""
+    return replace(view, camera=ANYWHERE)
 
 
 @opaque

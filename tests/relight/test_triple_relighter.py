@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, get_args
 
 import pytest
@@ -132,16 +133,28 @@ def test_pixels_have_shadows_of_their_own(small_scene: ptt.Scene, relighter: ptt
     assert ptt.relative_rmse(per_pixel, per_vertex) < 0.1
 
 
+def test_an_eye_that_moves_alone_leaves_the_pixels(
+    small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter
+) -> None:
+    """Where their functions are found is looked up once."""
+    pixels = ptt.GBuffer.of(small_scene, small_scene.camera)
+    views = [replace(pixels, camera=small_scene.camera.orbited(angle)) for angle in (0, 20)]
+    first, second = (relighter.prepared(SKY, {}, view)[2] for view in views)
+    assert second.light.rows is first.light.rows and second.shares is first.shares
+
+
 def test_caches_follow_every_input(small_scene: ptt.Scene, relighter: ptt.TripleProductRelighter) -> None:
     sky = ptt.Environment(SKY.map.clone())
     camera = small_scene.camera
     exponent = torch.tensor(9.0)
+    pixels = ptt.GBuffer.of(small_scene, camera)
     calls = [
         (sky, {}, camera),
         (sky.rotated(y=40), {}, camera),
         (sky.rotated(y=40), {"ball": ptt.blinn_phong(0.9, 0.2, exponent)}, camera),
         (sky, {}, camera.orbited(50)),
-        (sky, {}, ptt.GBuffer.of(small_scene, camera)),
+        (sky, {}, pixels),
+        (sky, {}, replace(pixels, camera=camera.orbited(20))),
         (sky, {}, camera),
     ]
     for args in calls:
