@@ -1,9 +1,9 @@
 """The time of a frame over that of an older checkout, by turns on one machine: rows of bench/results/before.csv.
 
-    git worktree add ../before COMMIT && python -m bench.before ../before     # about 15 minutes on two cores
+    git worktree add ../before COMMIT && python -m bench.before ../before     # about 25 minutes on two cores
 
 Of each relighter two processes live at once, one with the code of each checkout, and answer in turn, so that the
-machine's mood is theirs alike: eight balls on a floor, by kernels.
+machine's mood is theirs alike: eight balls on a floor, 82,376 vertices, by kernels.
 """
 
 from __future__ import annotations

@@ -83,7 +83,7 @@ def milliseconds(frame: Callable[[], object], repeats: int) -> float:
 RELIGHTERS: dict[str, Callable[[ptt.Scene], Viewed]] = {"transfer": transfer, "rotation": rotation, "triple": triple}
 
 if __name__ == "__main__":
-    balls_on_floor = balls(4, 2, ptt.blinn_phong(0.3, 0.4, 24.0))
+    balls_on_floor = balls(5, 2, ptt.blinn_phong(0.3, 0.4, 24.0))
     changes = frames(balls_on_floor, *RELIGHTERS[sys.argv[1]](balls_on_floor))
     for change in changes:
         milliseconds(change, 3)

@@ -38,6 +38,7 @@ LARGEST_RADIANCE = 1e30  # of a map, in its own units: products with it must sta
 _SIZE = 256, 512  # height and width of maps that are made, not loaded
 _LUMINANCE = 0.2126, 0.7152, 0.0722  # of linear sRGB (IEC 61966-2-1)
 _ONE = torch.ones(3)
+_UNTURNED = torch.eye(3, dtype=torch.float64)
 
 
 @in_python
@@ -225,7 +226,9 @@ class Environment:
         for angle in (x, y, z):
             if not isinstance(angle, SupportsFloat) or getattr(angle, "ndim", 0) > 0 or not isfinite(angle):
                 raise ValueError(f"angles must be finite numbers of degrees, got {angle!r}")
-        rotation = turn(2, z) @ turn(1, y) @ turn(0, x)
+        rotation = _UNTURNED
+        for axis, angle in enumerate((x, y, z)):
+            rotation = turn(axis, angle) @ rotation if angle else rotation
         return Environment._of(layer._replace(rotation=rotation @ layer.rotation) for layer in self.layers)
 
     def scaled(self, factor: Colour) -> Environment:

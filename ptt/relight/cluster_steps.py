@@ -143,6 +143,7 @@ class ClusterSteps(nn.Module):
         self.regions = nn.ModuleList(self.points)
         self.slots = slot_weights(model)
         self._materials = [Cache() for _ in model.clustered]
+        self._factors = Cache()
         self._operations = operations(compiled)
 
     def _rows(self) -> list[slice]:
@@ -152,7 +153,7 @@ class ClusterSteps(nn.Module):
     @uncompiled
     def incident(self, environment: Environment) -> ClusterLight:
         """The light step."""
-        blurred = self.light.with_lobes(environment).whole
+        blurred = self.light.blurred(environment)
         light = blurred.light
         coarse = light[..., :COARSE, :COARSE].flatten(1)
         arriving = arriving_light(self._operations, self.model.clustered, light.flatten(1), coarse)
@@ -231,7 +232,11 @@ class ClusterSteps(nn.Module):
             points.blocks(region, material.colour)
             for points, region, material in zip(self.points, self.model.clustered, materials, strict=True)
         ]
-        return ClusterExitant(surfaces, layers, self.model.brdf.u_o.flatten(1).T.contiguous())
+        return ClusterExitant(surfaces, layers, self._factors(watched(self.model.brdf), self._outgoing))
+
+    def _outgoing(self) -> Tensor:
+        """V (cells, o), cell by cell."""
+        return self.model.brdf.u_o.flatten(1).T.contiguous()
 
     def _layers(self, tables: LayerTables, light: ClusterLight, sent: Iterator[OutgoingLight]) -> list[Layer]:
         """A layer with its first highlight, and one for the lobes of each further highlight.

@@ -77,8 +77,12 @@ class LightStep(nn.Module):
         ready = self._ready(environment)
         return self._light(environment, [maps.rest for maps in ready]), self._lamps(environment, ready)
 
+    def blurred(self, environment: Environment) -> BlurredLight:
+        """L, and the light as lobes see it, all of it together."""
+        return self._blurred(environment, [maps.whole for maps in self._ready(environment)])
+
     def with_lobes(self, environment: Environment) -> SplitLight:
-        """L, and the light as lobes see it."""
+        """The same, and its lamps apart from the rest."""
         ready = self._ready(environment)
         whole = self._blurred(environment, [maps.whole for maps in ready])
         alike = all(maps.rest is maps.whole for maps in ready)
