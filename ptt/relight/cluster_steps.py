@@ -143,7 +143,6 @@ class ClusterSteps(nn.Module):
         self.regions = nn.ModuleList(self.points)
         self.slots = slot_weights(model)
         self._materials = [Cache() for _ in model.clustered]
-        self._factors = Cache()
         self._operations = operations(compiled)
 
     def _rows(self) -> list[slice]:
@@ -232,11 +231,7 @@ class ClusterSteps(nn.Module):
             points.blocks(region, material.colour)
             for points, region, material in zip(self.points, self.model.clustered, materials, strict=True)
         ]
-        return ClusterExitant(surfaces, layers, self._factors(watched(self.model.brdf), self._outgoing))
-
-    def _outgoing(self) -> Tensor:
-        """V (cells, o), cell by cell."""
-        return self.model.brdf.u_o.flatten(1).T.contiguous()
+        return ClusterExitant(surfaces, layers, self.model.brdf.u_o.flatten(1).T.contiguous())
 
     def _layers(self, tables: LayerTables, light: ClusterLight, sent: Iterator[OutgoingLight]) -> list[Layer]:
         """A layer with its first highlight, and one for the lobes of each further highlight.
