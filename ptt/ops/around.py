@@ -105,9 +105,8 @@ def from_points(around: Around, frame: Tensor, axes: Tensor, turn: Tensor, close
     """
     world = axes @ frame
     there, met = _met(around, around.meets, axes, world)
-    pair, second = _cell(axes)
-    none = (around.meets.gather(1, pair + second) < 0)[..., None]
-    mean = torch.where(none, around.mean.T[:, None], 0.0)
+    none = _numbers(around.meets, axes) < 0
+    mean = torch.where(none[..., None], around.mean.T[:, None], 0.0)
     sent = mean.index_put(there, _as_one_lobe(around, met, turn))
     if around.others is None or not bool((closely > 0).any()):
         return sent
@@ -124,9 +123,8 @@ def _met(
 
     closely (n, k) bool: axes that alone are asked for, by normals between cells; None for all, by the nearest cells
     """
-    pair, second = _cell(axes)
-    normal = _normals(meets, pair, second) if closely is None else _between_normals(meets, axes)
-    number = meets.gather(1, pair + second).long()
+    normal = _normals(meets, *_cell(axes)) if closely is None else _between_normals(meets, axes)
+    number = _numbers(meets, axes).long()
     towards = normalize(world, dim=-1)  # between rows of a table axes are shorter
     seen = (number >= 0) & ((towards * normal).sum(-1) < 0)
     there = torch.nonzero(seen if closely is None else seen & closely, as_tuple=True)
@@ -141,6 +139,12 @@ def _cell(axes: Tensor) -> tuple[Tensor, Tensor]:
     column, row = ((hemi_octahedral(axes) + 1) * (MEETS / 2)).floor().clamp(0, MEETS - 1).long().unbind(-1)
     cell = row * MEETS + column
     return 3 * (cell >> 1), cell & 1
+
+
+def _numbers(meets: Tensor, axes: Tensor) -> Tensor:
+    """The points (n, k) in words (n, MET) that lie about local axes (n, k, 3), by their numbers; -1 for none."""
+    pair, second = _cell(axes)
+    return meets.gather(1, pair + second)
 
 
 def _normals(meets: Tensor, pair: Tensor, second: Tensor) -> Tensor:
