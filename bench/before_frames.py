@@ -7,9 +7,7 @@ and of the light, in milliseconds. It calls only what both checkouts have.
 from __future__ import annotations
 
 import inspect
-import statistics
 import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import count
@@ -19,6 +17,7 @@ import torch
 
 import ptt
 from bench.frames import balls
+from bench.table import median_seconds
 
 CHANGES = ("view", "material", "light")
 Viewed = tuple[Any, Callable[[ptt.Camera], Any]]
@@ -26,7 +25,7 @@ Viewed = tuple[Any, Callable[[ptt.Camera], Any]]
 
 
 def transfer(scene: ptt.Scene) -> Viewed:
-    """Clusters of the paper's settings, with the BRDF tensor and its lobes."""
+    """Clusters of 24 eigenvectors, for the paper's 32, with the BRDF tensor and its lobes."""
     space = ptt.BRDFSpace.blinn_phong()
     brdf = ptt.TensorBRDF.fit(space, ranks=(4, 16, 16), separated=3)
     clusters = ptt.Clusters(points=1000, eigenvectors=24, lighting=64)
@@ -70,23 +69,13 @@ def frames(scene: ptt.Scene, relighter: Any, seen: Callable[[ptt.Camera], Any]) 
     ]
 
 
-def milliseconds(frame: Callable[[], object], repeats: int) -> float:
-    """The median time of a frame, after two that are not counted."""
-    taken = []
-    for _ in range(2 + repeats):
-        start = time.perf_counter()
-        frame()
-        taken.append(time.perf_counter() - start)
-    return 1e3 * statistics.median(taken[2:])
-
-
 RELIGHTERS: dict[str, Callable[[ptt.Scene], Viewed]] = {"transfer": transfer, "rotation": rotation, "triple": triple}
 
 if __name__ == "__main__":
     balls_on_floor = balls(5, 2, ptt.blinn_phong(0.3, 0.4, 24.0))
     changes = frames(balls_on_floor, *RELIGHTERS[sys.argv[1]](balls_on_floor))
     for change in changes:
-        milliseconds(change, 3)
+        median_seconds(change, 3)
     print("ready", flush=True)
     for line in sys.stdin:
-        print(*(milliseconds(change, int(line)) for change in changes), flush=True)
+        print(*(1e3 * median_seconds(change, int(line)) for change in changes), flush=True)

@@ -269,8 +269,8 @@ def flat(results: Any) -> list[Tensor]:
 
 
 def tensors(arguments: Iterable[Any]) -> list[Tensor]:
-    flat = [item for a in arguments for item in (a if isinstance(a, list) else [a])]
-    return [item for item in flat if isinstance(item, Tensor)]
+    items = [item for a in arguments for item in (a if isinstance(a, list) else [a])]
+    return [item for item in items if isinstance(item, Tensor)]
 
 
 def with_leaves(arguments: Iterable[Any]) -> list[Any]:
